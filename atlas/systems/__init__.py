@@ -1,4 +1,4 @@
-"""Systems by name: equations, parameters, start values, families, and the theory of the gyrostat."""
+"""Find, describe and register systems by name."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BUILT_IN = ("satellite", "fixed_point")
 
 
 class _Systems(UserDict[str, Any]):
-    """Systems by name: built-in ones are imported on first access, others are added by `get` and `register`."""
+    """Map names to systems. Built-in systems are imported on first access; `get` and `register` add others."""
 
     def __getitem__(self, name: str) -> System:
         if self.data[name] is None:
@@ -48,7 +48,7 @@ _ORIGINS: dict[System, plugins.Origin] = {}
 
 
 def __getattr__(name: str) -> Any:
-    """A function that an extension adds to this module."""
+    """Return the function `name` that an extension adds to this module."""
     if function := extension.load("functions", f"systems.{name}"):
         return function
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{extension.not_loaded()}")
@@ -57,8 +57,8 @@ def __getattr__(name: str) -> Any:
 def register(system: System | type[System]) -> System:
     """Make a system available to scenes and functions of this process under its name.
 
-    It replaces a system registered earlier under this name. Other processes, such as the shell command and dask workers,
-    find a system by the entry point `atlas.systems` of an installed package.
+    A system registered earlier under the same name is replaced. Other processes, such as the shell command and dask
+    workers, find a system only through the entry point `atlas.systems` of an installed package.
 
     Parameters
     ----------
@@ -68,18 +68,18 @@ def register(system: System | type[System]) -> System:
     Returns
     -------
     System
-        The object, with completed equations.
+        The registered object, whose equations have been completed.
 
     Raises
     ------
     BadInput
-        If the system has a mistake, which the message names, or the name of a built-in system.
+        If the system has a mistake, which the message names, or if a built-in system has the same name.
     """
     return _register(system, "")
 
 
 def _register(system: Any, package: str, name: str = "") -> System:
-    """Register a system; package, name: the installed package that has it and the name of its entry point, or empty."""
+    """Register a system. `package` is the installed package and `name` its entry point; both may be empty."""
     from . import plugins
     from .check import check, check_complete, check_start
 
@@ -89,7 +89,7 @@ def _register(system: Any, package: str, name: str = "") -> System:
         if isinstance(system, type) and issubclass(system, System):
             check_complete(system)
             system = system()
-        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # otherwise it is registered already
+        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # a registered system has completed equations
         if new:
             check(system)
         if system.name in BUILT_IN and not package:
@@ -100,7 +100,7 @@ def _register(system: Any, package: str, name: str = "") -> System:
             raise BadInput(f"its name is {shown(system.name)}; the name of the entry point must be the same")
         if new:
             _ORIGINS[system] = plugins.origin(system, package)
-            # `completed` adds missing functions and TIME_UNIT, the kernels' unit of time as a constant.
+            # The constants are counted first, because `completed` may append TIME_UNIT.
             given = len(getattr(system.equations, "CONSTANTS", ()))
             observables = [observable.name for observable in system.observables]
             system.equations = arithmetic.completed(system.equations, observables)
@@ -114,14 +114,14 @@ def _register(system: Any, package: str, name: str = "") -> System:
         check_start(system)
     except BadInput as error:
         raise BadInput(f"{key}: {error}") from None
-    except Exception as error:  # raised by the author's code, such as __init__
+    except Exception as error:  # code of the system's author, such as __init__, may raise anything
         raise BadInput(f"{key}: {type(error).__name__}: {one_line(error)}") from None
     SYSTEMS[system.name] = system
     return system
 
 
 def get(name: object) -> System:
-    """The system of this name, imported from its package if needed; BadInput if there is none or it is broken."""
+    """Return the system called `name` and import it if needed. Raise BadInput if it is missing or broken."""
     if isinstance(name, str):
         if name in SYSTEMS:
             return SYSTEMS[name]
@@ -134,14 +134,14 @@ def get(name: object) -> System:
 
 
 def names() -> list[str]:
-    """Names of all systems: of this package, registered, and installed; nothing is imported."""
+    """Return the names of all built-in, registered and installed systems without importing any of them."""
     from . import plugins
 
     return list(dict.fromkeys([*SYSTEMS, *plugins.names()]))
 
 
 def describe(name: str | None = None) -> str:
-    """A system with its parameters and families, or all systems in a line each, as text to print."""
+    """Return a text that describes one system with its parameters and families, or that lists all systems."""
     if name is None:
         return text_table([(key, system.title) for key, system in available().items()])
     system = get(name)
@@ -156,7 +156,7 @@ def describe(name: str | None = None) -> str:
 
 
 def available() -> dict[str, System]:
-    """All systems by name; installed but broken systems are left out with a logged warning."""
+    """Return all systems by name. A broken installed system is left out, and a warning is logged."""
     systems = {}
     for name in names():
         try:
@@ -167,7 +167,7 @@ def available() -> dict[str, System]:
 
 
 def origin(system: System) -> plugins.Origin | None:
-    """Origin of a system, registered or not; None for a built-in one."""
+    """Return the origin of a system, registered or not, or None for a built-in system."""
     if system not in _ORIGINS and not (system.name in BUILT_IN and SYSTEMS.get(system.name) is system):
         from . import plugins
 

@@ -1,7 +1,7 @@
-"""Equations of a system as source text: checks, and completion of functions that an author omits.
+"""Check the equations of a system as source text, and add functions that the author omitted.
 
-Kernels contain this source, so that the functions may use only the state, the constants, names assigned before
-and FUNCTIONS of one number. Mistakes are found in the syntax tree, before anything is compiled.
+The kernels contain this source. The functions may therefore use only the state, the constants, names assigned before
+and FUNCTIONS of one number. Mistakes are found in the syntax tree before anything is compiled.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ import numpy as np
 
 from ..errors import BadInput, allowed_text, shown
 
-# Name in equations -> name of the NumPy function, which takes arrays, in kernels numbers.
+# Functions that equations may call, with the names that NumPy has for them.
 FUNCTIONS = {
     "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
     "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "exp": "exp", "log": "log",
 }  # fmt: skip
-# Constant that is added to equations without `scaled`: the unit of time of a kernel, in time units.
+# Constant that is added to equations without `scaled`. It is the unit of time of a kernel, measured in time units.
 TIME_UNIT = "time_unit"
-# Lock: other threads must not see an unfinished module nor parse at the same time, because Python 3.11 counts the recursion
-# of all threads together and raises SystemError if two conversions of syntax trees overlap.
+# A thread holds this lock while it parses, so that no other thread sees an unfinished module. Python 3.11 also raises
+# SystemError if two threads convert syntax trees at once, because it counts the recursion of all threads together.
 PARSING = threading.RLock()
 _ALLOWED = f"allowed: the state, the constants, names assigned before, {', '.join(FUNCTIONS)}"
 _PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.join(FUNCTIONS)}"
 
 
 def functions(equations: Any) -> dict[str, str]:
-    """Name -> source, without docstring, of every function of a module or class of equations."""
+    """Return by name the source, without docstring, of every function of a module or class of equations."""
     return {name: ast.unparse(node) for name, node in function_trees(equations).items()}
 
 
 def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
-    """Name -> syntax tree, without docstring and decorators, of every function of a module or class.
+    """Return by name the syntax tree of every function of a module or class, without docstring and decorators.
 
-    A starred name among unpacked constants becomes the names that it stands for.
+    A starred name among unpacked constants is replaced by the names of the constants for which it stands.
     """
     constants = getattr(equations, "CONSTANTS", ())
     sources = getattr(equations, "SOURCES", None)
@@ -68,7 +68,7 @@ def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
 
 
 def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.FunctionDef]:
-    """Syntax trees of the functions that belong to the equations; a module may contain other functions."""
+    """Return the syntax trees of the functions that belong to the equations. A module may contain others."""
     used = {"rhs", "frame_motion", "axis_in_frame", "scaled", "unscaled", *observables}
     used |= {name for name in getattr(equations, "INTEGRALS", ()) if isinstance(name, str)}
     used |= {name for name in getattr(equations, "LOSSES", {}).values() if isinstance(name, str)}
@@ -76,7 +76,7 @@ def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.Functio
 
 
 def names_in(*parts: str | ast.AST) -> KeysView[str]:
-    """Names in texts or syntax trees, each once, in the order of `ast.walk`."""
+    """Return the names in texts or syntax trees, each once, in the order of `ast.walk`."""
     trees = (ast.parse(part) if isinstance(part, str) else part for part in parts)
     return dict.fromkeys(
         node.id for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)
@@ -84,12 +84,12 @@ def names_in(*parts: str | ast.AST) -> KeysView[str]:
 
 
 def numpy_functions() -> dict[str, Callable[..., Any]]:
-    """FUNCTIONS for arrays, by their names in equations."""
+    """Return the NumPy functions for FUNCTIONS, by their names in equations."""
     return {name: getattr(np, numpy_name) for name, numpy_name in FUNCTIONS.items()}
 
 
 def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """Value of an arithmetic text in pi, FUNCTIONS and names; BadInput, beginning with the key, for other texts."""
+    """Evaluate an arithmetic text of pi, FUNCTIONS and `names`. Raise BadInput that begins with `key` for other texts."""
     known = {**numpy_functions(), "pi": np.pi, **names}
     try:
         tree = ast.parse(text, mode="eval")
@@ -101,10 +101,10 @@ def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
 
 
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
-    """Equations with every member that kernels read, compiled from source with FUNCTIONS that take arrays.
+    """Return equations with every member that kernels read, compiled from source so that FUNCTIONS take arrays.
 
-    Without ``scaled`` and ``unscaled``, TIME_UNIT, the kernels' unit of time, becomes the last constant and multiplies the
-    right-hand side, the angular velocity of ``frame_motion`` and the losses; the state keeps its units.
+    Equations without ``scaled`` and ``unscaled`` receive both functions. TIME_UNIT becomes the last constant and multiplies
+    the right-hand side, the angular velocity of ``frame_motion`` and the losses. The state keeps its units.
     """
     nodes = _used(equations, observables)
     names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}
@@ -113,7 +113,7 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
         given = len(names["CONSTANTS"])
         names["CONSTANTS"] = (*names["CONSTANTS"], TIME_UNIT)
         names["ONES"], names["INTEGRALS"] = (), dict.fromkeys(names["INTEGRALS"], 0)
-        # function -> number of leading components that are rates; None: all
+        # Number of leading components of each function that are rates. None means all components.
         rates = {"rhs": None, "frame_motion": 3} | dict.fromkeys(names["LOSSES"].values())
         nodes = {name: _with_time_unit(node, given, rates) for name, node in nodes.items()}
         states, constants = ", ".join(names["STATE"]), ", ".join(names["CONSTANTS"])
@@ -129,19 +129,19 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
 
 
 def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, str]) -> ModuleType:
-    """Module of equations with `names`, such as STATE, and the functions compiled from `sources`."""
+    """Return a module of equations with `names`, such as STATE, and with the functions compiled from `sources`."""
     module = ModuleType(getattr(equations, "__name__", "equations"), getattr(equations, "__doc__", None))
     namespace: dict[str, Any] = dict(numpy_functions())
     for name, text in sources.items():
         exec(compile(text, f"<{name} of {module.__name__}>", "exec"), namespace)
-    # A state outside the domain of a function gives nan, so that its point gets the status not_finite.
+    # A state outside the domain of a function gives nan, and the point gets the status not_finite.
     functions = {name: np.errstate(all="ignore")(namespace[name]) for name in sources}
     vars(module).update({**names, "SOURCES": dict(sources)} | functions)
     return module
 
 
 def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int | None]) -> ast.FunctionDef:
-    """A function with TIME_UNIT as last constant, by which its first rates[name] components (None: all) are multiplied."""
+    """Append TIME_UNIT to the constants that a function unpacks, and multiply the components in `rates` by TIME_UNIT."""
     unpacked = False
     for statement in node.body:
         match statement:
@@ -162,7 +162,7 @@ def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int |
 
 
 def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """The method `constants` with a row of ones, for TIME_UNIT, at the end."""
+    """Return the method `constants` extended by a last row of ones for TIME_UNIT."""
 
     def extended(points: Any) -> Any:
         one = np.ones((1, *np.shape(next(iter(points.values())))))
@@ -172,7 +172,7 @@ def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def check(key: str, equations: Any, observables: Collection[str]) -> None:
-    """Raise BadInput, with one line that begins with `key`, for equations that the kernels cannot use."""
+    """Raise BadInput with one line that begins with `key` if the kernels cannot use the equations."""
     state, constants = (getattr(equations, which, ()) for which in ("STATE", "CONSTANTS"))
     for which, names in (("STATE", state), ("CONSTANTS", constants)):
         if not isinstance(names, tuple | list) or not all(
@@ -223,7 +223,7 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
 
 
 def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str, ...]:
-    """Names of the functions in LOSSES of the equations; BadInput for unusable ones."""
+    """Return the names of the functions in LOSSES. Raise BadInput if a function cannot be used."""
     losses, integrals = getattr(equations, "LOSSES", {}), getattr(equations, "INTEGRALS", {})
     if not isinstance(losses, Mapping) or not all(isinstance(name, str) for name in losses.values()):
         raise BadInput(f"{key}: LOSSES = {shown(losses)}; allowed: a mapping of first integrals to functions")
@@ -233,7 +233,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
                 f"{key}: LOSSES: {shown(name)} is no first integral; {allowed_text(name, integrals)}"
             )
     for name in losses.values():
-        if name in observables:  # kernels compute observables in the caller's units
+        if name in observables:  # kernels compute observables in the caller's units, and losses in their own
             raise BadInput(f"{key}: LOSSES: {shown(name)} is an observable; choose another function")
     return tuple(losses.values())
 
@@ -241,7 +241,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
 def _check_function(
     key: str, node: ast.FunctionDef, state: Sequence[str], constants: Sequence[str], components: int | None
 ) -> None:
-    """Raise BadInput unless a function is plain arithmetic; components: length of its result, 0: a number, None: any tuple."""
+    """Raise BadInput unless a function is arithmetic with `components` results (0 for one number, None for any tuple)."""
     names, returned = {*FUNCTIONS}, None
     targets: list[ast.expr]
     for statement in node.body:
@@ -288,7 +288,7 @@ def _check_function(
 
 
 def _check_expression(line: str, expression: ast.expr, names: set[str]) -> None:
-    """Raise BadInput unless an expression is arithmetic of these names and FUNCTIONS."""
+    """Raise BadInput unless an expression is arithmetic of `names` and FUNCTIONS."""
     for node in ast.walk(expression):
         match node:
             case ast.Name(id=name) if name not in names:

@@ -25,16 +25,16 @@ Mask = NDArray[np.bool_]
 # Every parameter of a system by name, as float64 arrays of one common shape.
 Points = Mapping[str, Array]
 
-# Parameters above this magnitude, or positive ones below its inverse, may have overflowing products and quotients.
+# Formulas of theory may overflow if a parameter exceeds this magnitude or a positive parameter is below 1 / MAX_MAGNITUDE.
 MAX_MAGNITUDE = 1e60
-# Largest condition residual (dimensionless) of a start on a family, and largest sin theta that counts as on the vertical.
+# Largest dimensionless condition residual of a start on a family. A third axis with a smaller sin theta counts as vertical.
 FAMILY_TOLERANCE = 1e-10
-# Name of `System.natural_rate` in arithmetic of scenes and in datasets.
+# Name that scenes and datasets use for `System.natural_rate`.
 NATURAL_RATE = "natural_rate"
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _T = TypeVar("_T")
 _F = TypeVar("_F", bound=Callable[..., Any])
-_CHUNK = 16384  # points that are identified together; their arrays fit into the cache
+_CHUNK = 16384  # number of points that are identified together, whose arrays fit into the cache
 
 
 @dataclass(frozen=True)
@@ -42,21 +42,21 @@ class Parameter:
     """A physical parameter or start value, with its range."""
 
     name: str
-    unit: str  # SI, UDUNITS spelling; "1" for pure numbers
+    unit: str  # SI unit in the spelling of UDUNITS; "1" for pure numbers
     meaning: str
-    default: float = 0.0  # nan: optional, absent unless given
+    default: float = 0.0  # nan for an optional parameter, which is absent unless given
     low: float = -np.inf
     high: float = np.inf
-    open_low: bool = False  # True: the value must lie strictly above low
-    start: bool = False  # True: a start value, False: the body, its rotor or the fields
+    open_low: bool = False  # whether the value must lie strictly above `low`
+    start: bool = False  # True for a start value, False for a property of the body, its rotor or the fields
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$\theta_0$"
 
 
 class TwoAxes(NamedTuple):
     """A motion with the angular velocity n fixed_axis + m spin_axis relative to the frame.
 
-    spin_axis is at rest in the body, fixed_axis in the frame; components are in body axes at the start. With a rate of 0 or
-    parallel axes the motion is a permanent rotation.
+    The axis `spin_axis` is at rest in the body, and `fixed_axis` is at rest in the frame. Their components are in body axes at
+    the start. The motion is a permanent rotation if one rate is 0 or if the axes are parallel.
     """
 
     spin_axis: Array  # unit vector, (3, points)
@@ -65,17 +65,17 @@ class TwoAxes(NamedTuple):
     precession_rate: Array  # n, rad per time unit, (points,)
 
     def subset(self, where: Any) -> TwoAxes:
-        """The motions at some points, by their indices or a mask."""
+        """Return the motions at the points that the indices or the mask `where` select."""
         return TwoAxes(*(values[..., where] for values in self))
 
 
 class Geometry(NamedTuple):
-    """A kind of steady motion, by the path of the third axis."""
+    """A kind of steady motion, which the path of the third axis defines."""
 
-    text: str  # a sentence
-    # (measured variables, mask of motions on the vertical, largest rate and angle that count as zero) -> mask; the first
-    # geometry that holds is taken. axis_1 and axis_2, measured with axis_in_frame, are means over the run of the third axis'
-    # components along the first two axes of the frame.
+    text: str  # description in one sentence
+    # Function of measured variables, of a mask of motions on the vertical, and of the largest rate and angle that count as zero.
+    # It returns a mask, and the first geometry that holds is taken. The variables axis_1 and axis_2, measured with axis_in_frame,
+    # are means over the run of the third axis' components along the first two axes of the frame.
     holds: Callable[[Mapping[str, Array], Mask, Array | float, float], Mask]
 
 
@@ -83,67 +83,67 @@ class Geometry(NamedTuple):
 class Observable:
     """A quantity whose mean, standard deviation, extremes and drift are measured along each motion.
 
-    The equations have a function of ``(state, constants)``, or a state, of the same name.
+    The equations have a state, or a function of ``(state, constants)``, with the same name.
     """
 
     name: str
-    unit: str  # UDUNITS spelling; "1" for pure numbers
+    unit: str  # unit in the spelling of UDUNITS; "1" for pure numbers
     long_name: str  # description in a few words
-    # Largest standard deviation with which the observable counts as constant, in its unit; None: the scene's rate_tolerance, inf: its
-    # variation is ignored. The table labels.std_tolerance of a scene replaces this value.
+    # The observable counts as constant if the standard deviation, in `unit`, does not exceed this value. None stands for the
+    # scene's rate_tolerance, and with inf any variation is ignored. A scene's labels.std_tolerance replaces this value.
     tolerance: float | None = None
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
-    # Period of measurement in time units, a number or arithmetic in pi and constants of the equations, such as "2*pi/w": the
-    # observable is measured at the start and after each period, and runs last whole periods. None: measured at all times.
+    # Period of measurement in time units, as a number or as arithmetic of pi and constants of the equations, such as "2*pi/w".
+    # The observable is measured at the start and after each period, and runs last whole periods. None: measured at all times.
     every: str | float | None = None
 
 
 @dataclass(frozen=True)
 class Condition:
-    """An equation or inequality of a family; its residual, dimensionless, is the amount by which it fails."""
+    """An equation or inequality of a family. The dimensionless `residual` says by how much it fails."""
 
     text: str
     residual: Callable[[Points], Array]
 
 
-# If a scene wants the solution nearest to a value, points hold the value under NEAR + name, name a key of Family.several.
+# If a scene asks for the solution nearest to a value, points hold the value under NEAR + name for a name in Family.several.
 NEAR = "near "
 
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact motions: theta = theta0, psi' = n, phi' = m, the same about other axes, or motions in a plane."""
+    """A family of exact motions, which are steady motions about two axes or motions in a plane."""
 
     name: str
-    flag: int = 0  # value of the dataset variable `family`, from 1; see `numbered`
+    flag: int = 0  # value of the dataset variable `family`, which `numbered` counts from 1
     title: str = ""
     equations: str = ""  # numbers of the equations in the paper, or another source
     conditions: tuple[Condition, ...] = ()
-    # parameter -> formula for its value on the family, nan where there is none; formulas are used in this order
+    # Formula for the value of each parameter on the family, nan where there is none. Formulas are used in this order.
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
-    # parameter with several solutions, or rate from which start values are solved -> text of the default solution. If a scene
-    # wants the solution nearest to a value, points hold the value under the name and under NEAR + name; inf: the largest solution
+    # Text on the default solution of each parameter with several solutions, or of each rate from which start values are solved.
+    # For the solution nearest to a value, points hold the value under the name and under NEAR + name; inf asks for the largest.
     several: Mapping[str, str] = field(default_factory=dict)
-    # points -> (flags.Stability, growth rate in rad per time unit), see System.linear_stability and `rough_stability`
+    # Functions that return flags.Stability and growth rates (rad per time unit); `rough_stability` computes fewer digits.
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
     rough_stability: Callable[[Points], tuple[Flags, Array]] | None = None
-    stability_text: str = ""  # what decides the stability, for the catalogue
-    # closed form of the motion: (points, t) -> state of the equations, shape (state, *t.shape, *points.shape)
+    stability_text: str = ""  # text for the catalogue on what decides the stability
+    # Closed form of the motion as a function of points and times t. The states have the shape (state, *t.shape, *points.shape).
     motion: Callable[[Points, Array], Array] | None = None
-    geometry: str = ""  # name of its Geometry; empty: it depends on the point
+    geometry: str = ""  # name of the Geometry; empty if the geometry depends on the point
     labels: str = ""  # labels of the motion in the frame and in inertial space, as text
     paper_wording: str = ""
-    exists: str = ""  # limits of existence beyond the conditions
+    exists: str = ""  # text on limits of existence that the conditions do not contain
     free: tuple[str, ...] = ()  # parameters that the conditions leave free
-    # points -> axes and rates of a motion about other axes than the third and the vertical; None: the motion is about these two
+    # Axes and rates at points, for a family of motions about other axes than the third axis and the vertical.
     axes: Callable[[Points], TwoAxes] | None = None
-    # (points, durations) -> standard deviation, (points,), of the varying rate of a body that turns about its third axis on
-    # the vertical; an infinite duration means whole periods. None: the motion is steady
+    # Standard deviation, (points,), of the varying rate of a body that turns about its third axis on the vertical, as a function
+    # of points and durations. An infinite duration means whole periods. None: the motion is steady.
     rate_std: Callable[[Points, Array], Array] | None = None
 
 
 def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
-    """Families by name, with flags counted in this order from 1 + len(after)."""
+    """Return families by name, with flags counted from 1 + len(after) in the given order."""
     return {family.name: replace(family, flag=i) for i, family in enumerate(families, 1 + len(after))}
 
 
@@ -151,7 +151,7 @@ def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[st
 class PublishedEquation:
     """One equation or statement of the system's paper, as printed and as corrected.
 
-    The residual at random parameters is near 0 if the equation is true; None: there is no measure.
+    A residual is computed at random parameters and is near 0 if the equation is true. None means that there is no measure.
     """
 
     number: str
@@ -162,37 +162,37 @@ class PublishedEquation:
     measure: str = ""  # meaning of the residuals
     residual_printed: Callable[[np.random.Generator], float] | None = None
     residual_true: Callable[[np.random.Generator], float] | None = None
-    effect: str = ""  # consequence of the difference
+    effect: str = ""  # consequence of the difference between `printed` and `true`
 
 
-# (names of variables, points before the nudge, duration, pause) -> their values (points,) by name.
+# Function of names of variables, points before the nudge, duration and pause that returns values (points,) by name.
 GroupValues = Callable[[Collection[str], Points, Array, Callable[[], None]], Mapping[str, NDArray[Any]]]
 
 
 @dataclass(frozen=True)
 class DerivedVariable:
-    """A quantity from theory, computed if a scene lists it among its outputs."""
+    """A quantity from theory that is computed if a scene lists it among its outputs."""
 
     name: str
     unit: str
     long_name: str
-    # (points before the nudge, duration, pause) -> (points,). A long computation calls pause() at least once a second,
-    # which raises an exception if the run was interrupted.
+    # Function of points before the nudge, duration and pause that returns values (points,). A long computation calls pause()
+    # at least once a second. If the run was interrupted, pause() raises an exception.
     values: Callable[[Points, Array, Callable[[], None]], NDArray[Any]]
     comment: str = ""
-    # raises BadInput for points and durations at which the variable is undefined or takes too long
+    # Raises BadInput if the variable is undefined or takes too long at some points and durations.
     check: Callable[[Points, Array], object] = lambda points, duration: None
-    # for int8 flags: name -> sentence, in the order of the values 0, 1, 2, ...
+    # Sentences by name for int8 flags, in the order of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
-    from_start: bool = False  # for the motion from the start only; refused with a transient
-    # Values of several variables by name; variables that share intermediate results have the same function here.
+    from_start: bool = False  # True: describes the motion from the start, so it is refused with a transient
+    # Function for several variables. Variables that share intermediate results have the same function here.
     group_values: GroupValues | None = None
 
     @classmethod
     def of_group(
         cls, group_values: GroupValues, name: str, unit: str, long_name: str, comment: str, **attributes: Any
     ) -> DerivedVariable:
-        """A variable that `group_values` computes with others."""
+        """Return a variable whose values `group_values` computes together with other variables."""
 
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
             return group_values([name], SharedValues(points), duration, pause)[name]
@@ -202,22 +202,22 @@ class DerivedVariable:
 
 @dataclass(frozen=True, eq=False)
 class StressCase:
-    """Stiff or extreme points; arrays have one entry for each point, numbers hold for all points."""
+    """Stiff or extreme points. Arrays have one entry for each point, and numbers hold for all points."""
 
     name: str
     description: str
     duration: ArrayLike  # time units
-    columns: Mapping[str, ArrayLike]  # parameters; missing ones take their defaults
-    solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
-    additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
+    columns: Mapping[str, ArrayLike]  # parameters by name; a missing parameter takes its default
+    solve: tuple[str, str] | None = None  # family, and the parameter that is solved to put the points on the family
+    additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # offsets that are added to parameters after solving
     may_stay_unresolved: str = ""  # why a point may stay unresolved even with an automatic step
-    # exact motion of the points, as the name of its class or a function from a point to the motion; "departure": additions are
-    # tiny offsets from an unstable equilibrium; empty: theory or the reference integrator gives the true label
+    # Exact motion of the points, as the name of a class or as a function from a point to the motion. "departure" says that the
+    # additions are tiny offsets from an unstable equilibrium. If empty, theory or the reference integrator gives the true label.
     truth: str | Callable[[Points], Any] = ""
 
 
 def _or_extension(method: _F) -> _F:
-    """Decorator: a method of `System` that runs only if no extension has a result for it."""
+    """Decorate a method of `System` so that the method runs only if no extension returns a result."""
 
     @wraps(method)
     def answer(*arguments: Any, **options: Any) -> Any:
@@ -231,11 +231,11 @@ def _or_extension(method: _F) -> _F:
 class System(ABC):
     """A physical system, with the members that kernels, labels, scenes and figures use.
 
-    A system is a subclass that defines its names, `equations`, `parameters` and `initial_state`, and either the motion of
-    a body relative to a frame (``frame_motion`` of the equations) or `observables`; every other member has a default.
-    `points` maps the name of each parameter to a float64 array, all of one shape, called ``(points,)`` here.
+    A system is a subclass that defines its names, `equations`, `parameters` and `initial_state`. It also defines either the
+    motion of a body relative to a frame (``frame_motion`` of the equations) or `observables`. Other members have defaults.
+    `points` maps the name of each parameter to a float64 array. All arrays have the same shape, called ``(points,)`` here.
 
-    Members, in three groups:
+    The members form three groups:
 
     Equations
         `equations`, `parameters`, `observables`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
@@ -304,55 +304,55 @@ class System(ABC):
     """Names of the parameters for the principal moments of inertia; None: the system is no rigid body."""
 
     def constants(self, points: Points) -> Array:
-        """Constants that the kernels read, shape (constants, points), in the order of ``equations.CONSTANTS``.
+        """Return the constants that the kernels read, shape (constants, points), in the order of ``equations.CONSTANTS``.
 
-        The default takes each from the parameter of the same name.
+        The default takes each constant from the parameter of the same name.
         """
         shape = shape_of(points)
         rows = [np.ones(shape) if name == TIME_UNIT else points[name] for name in self.equations.CONSTANTS]
         return np.reshape(np.array(rows, float), (len(rows), *shape))
 
     def integral_scales(self, points: Points) -> Mapping[str, Array]:
-        """Where each first integral, with its losses, is constant, and a lower bound of the scale of its error.
+        """Return a lower bound of the scale of each first integral, or nan where the integral is not constant.
 
         Returns
         -------
         mapping of every name in ``equations.INTEGRALS`` to an array (points,)
-            nan where the integral is not constant, even with its losses; elsewhere a lower bound, in units of the integral,
-            of the sum of the magnitudes of its terms, by which its error is divided. The default is 0: constant everywhere.
+            Lower bound, in units of the integral, of the sum of the magnitudes of its terms. The error is divided by this sum.
+            nan where the integral is not constant, even with its losses. The default is 0 at every point.
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 
     def frequency_bound(self, points: Points) -> Array:
-        """Upper bound of the fastest frequency of each motion, rad per time unit, shape (points,).
+        """Return an upper bound of the fastest frequency of each motion, rad per time unit, shape (points,).
 
-        The step sizes and the check for under-resolved points depend on it, so it must hold for the whole
-        motion and not only at the start. The default is the numeric bound `jacobian.frequency` at the start, which is
-        raised along each motion.
+        Step sizes and the check for under-resolved points depend on the bound. It must therefore hold for the whole motion
+        and not only at the start. The default is the numeric bound `jacobian.frequency` at the start, which is raised along
+        each motion.
         """
         return frequency(self.equations, self.initial_state(points), self.constants(points))
 
     def natural_rate(self, points: Points) -> Array:
-        """Characteristic rate of each point, the unit of default durations and tolerances.
+        """Return a characteristic rate of each point, which is the unit of default durations and tolerances.
 
         Returns
         -------
         array (points,)
-            Above 0, rad per time unit. The default is 1.
+            Rates above 0, in rad per time unit. The default is 1.
         """
         return np.ones(shape_of(points))
 
     @property
     def has_numeric_bound(self) -> bool:
-        """Whether the frequency bound is computed numerically."""
+        """Whether the frequency bound is the numeric bound `jacobian.frequency`."""
         return type(self).frequency_bound is System.frequency_bound
 
     def specialization(
         self, zero: Set[str], equal: Set[tuple[str, str]]
     ) -> tuple[Set[str], Set[tuple[str, str]]]:
-        """Constants of the equations that are 0, or equal, at every point of a scene.
+        """Return which constants of the equations are 0, or equal, at every point of a scene.
 
-        Each different result is one more kernel to compile, so there should be few. The default leaves nothing out.
+        Every different result needs one more kernel, so there should be few of them. The default returns empty sets.
 
         Parameters
         ----------
@@ -374,16 +374,16 @@ class System(ABC):
 
     @abstractmethod
     def initial_state(self, points: Points) -> Array:
-        """State at t = 0, shape (states, points), in the order of ``equations.STATE``."""
+        """Return the state at t = 0, shape (states, points), in the order of ``equations.STATE``."""
 
     def steady_rates(self, points: Points) -> tuple[Array, Array, Array]:
-        """Tilt and rates of the steady motion theta' = 0, psi' = n, phi' = m with each start.
+        """Return the tilt and rates of the steady motion theta' = 0, psi' = n, phi' = m that has each start.
 
         Returns
         -------
         sin_theta, n, m : arrays (points,)
-            A pure number, and two rates in rad per time unit. The default computes them from the initial state; where
-            the third axis is exactly on the vertical, n is 0 and m the whole rate. All are 0 without ``frame_motion``.
+            A pure number, and two rates in rad per time unit. The default computes them from the initial state. Where
+            the third axis is exactly vertical, n is 0 and m is the whole rate. All are 0 without ``frame_motion``.
         """
         if self.observables:
             sine, n, m = np.zeros((3, *shape_of(points)))
@@ -396,7 +396,7 @@ class System(ABC):
         return sine, n, u3 - n * g3
 
     def as_euler_angles(self, points: Points) -> Points:
-        """The same starts with optional start values replaced by Euler angles and their rates.
+        """Return the same starts with Euler angles and their rates in place of optional start values.
 
         Scenes add a nudge of angles to the result. The default returns the points unchanged.
         """
@@ -406,20 +406,20 @@ class System(ABC):
     """What `possible_start` tests, such as "the vertical must be a unit vector"."""
 
     def check(self, points: Points) -> None:
-        """Raise BadInput with one line for incomplete or contradictory points. The default accepts all."""
+        """Raise BadInput with one line if points are incomplete or contradictory. The default accepts all points."""
         return None
 
     def possible_start(self, points: Points) -> Mask:
-        """Where the start values are consistent, bool (points,). By default: where the state is finite."""
+        """Return where the start values are consistent, bool (points,). By default the state must be finite."""
         with np.errstate(all="ignore"):
             return np.asarray(np.isfinite(self.initial_state(points)).all(axis=0))
 
     def warnings(self, points: Points) -> list[str]:
-        """One sentence for each thing that a user should know about the points."""
+        """Return one sentence for each thing that a user should know about the points."""
         return []
 
     def remarks(self, points: Mapping[str, Any]) -> list[str]:
-        """Sentences for users who compare labels with theory; points: some or all parameters by name."""
+        """Return sentences for users who compare labels with theory. `points` has some or all parameters by name."""
         return []
 
     # Theory.
@@ -438,17 +438,17 @@ class System(ABC):
 
     @_or_extension
     def equilibria(self, body: Mapping[str, float]) -> Mapping[str, NDArray[Any]]:
-        """All relative equilibria or permanent rotations of one body; by default an extension computes them, else BadInput.
+        """Return all relative equilibria or permanent rotations of one body, which an extension computes by default.
 
         Parameters
         ----------
         body : mapping of str to float
-            Parameters of the body; missing ones take their defaults.
+            Parameters of the body. A missing parameter takes its default.
 
         Returns
         -------
         mapping of str to array
-            Arrays over the equilibria.
+            Arrays with one entry for each equilibrium.
         """
         missing = extension.not_loaded()
         raise BadInput(f"equilibria: the system {self.name} has no function that computes them{missing}")
@@ -457,22 +457,22 @@ class System(ABC):
     def equilibria_of_bodies(
         self, points: Points, pause: Callable[[], None] = lambda: None, **options: Any
     ) -> Mapping[str, NDArray[Any]]:
-        """All relative equilibria or permanent rotations of many bodies, as `equilibria`.
+        """Return all relative equilibria or permanent rotations of many bodies, like `equilibria` for one body.
 
         Parameters
         ----------
         points : mapping of str to array (bodies,)
             Every parameter.
         pause : callable
-            Called at least once a second; it raises an exception where the computation was interrupted.
+            Function that is called at least once a second. It raises an exception if the computation was interrupted.
         **options
-            Options of the extension that computes them.
+            Options of the extension that computes the equilibria.
 
         Returns
         -------
         mapping of str to array (bodies, places)
-            Unused places, at the end of each row, have the Morse index -1. `completeness`, int8 (bodies,), has values of
-            flags.Completeness.
+            Unused places at the end of each row have the Morse index -1. The array `completeness`, int8 (bodies,), contains
+            values of flags.Completeness.
         """
         if type(self).equilibria is System.equilibria:
             self.equilibria({})
@@ -481,26 +481,26 @@ class System(ABC):
         )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Family of the steady motion that starts at each point.
+        """Return the family of the steady motion that starts at each point.
 
         Returns
         -------
         flag : int8 array (points,)
-            Flag of the first family whose largest condition residual is at most FAMILY_TOLERANCE; 0: none.
+            Flag of the first family whose largest condition residual is at most FAMILY_TOLERANCE, or 0 without such a family.
         residual : array (points,)
-            Largest condition residual of that family, dimensionless; without a family the least over all families (inf
-            if there are none).
+            Largest condition residual of that family, dimensionless. Without such a family, the least value over all families
+            is returned, or inf if the system has no families.
         """
         others = other_families(self)
         return identify(points, [each for each in families_of(self).values() if each not in others], others)
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        """Linear stability of the steady motions.
+        """Return the linear stability of the steady motions.
 
-        A motion is stable where every characteristic exponent is imaginary and simple, or the energy has a minimum; unstable
-        where one has a positive real part. Zero exponents that come from a symmetry or a conserved momentum are ignored. If
-        other exponents are zero or equal up to rounding, distances may grow like a power of time: then the stability is unknown and
-        the growth rate 0. The default uses the formulas of families.
+        A motion is stable if every characteristic exponent is imaginary and simple, or if the energy has a minimum. It is
+        unstable if an exponent has a positive real part. Zero exponents that come from a symmetry or a conserved momentum are
+        ignored. If other exponents are zero or equal up to rounding, distances may grow like a power of time. The stability is
+        then unknown and the growth rate 0. The default uses the formulas of families.
 
         Parameters
         ----------
@@ -522,14 +522,14 @@ class System(ABC):
         return stable, growth
 
     def stress_cases(self) -> Sequence[StressCase]:
-        """Stiff and extreme points for the command `atlas stress`."""
+        """Return stiff and extreme points for the command `atlas stress`."""
         return ()
 
 
 def possible_body(system: System, points: Points) -> Mask:
-    """Where a rigid body can have the moments of inertia, (points,); elsewhere nothing is computed.
+    """Return where a rigid body can have the moments of inertia, (points,). Nothing is computed elsewhere.
 
-    No principal moment exceeds the sum of the two others; equality is a flat body. True where a moment is nan.
+    No principal moment of a body exceeds the sum of the two others. A flat body has equality. A moment of nan is accepted.
     """
     possible = np.ones(shape_of(points), bool)
     for total, largest, _ in _triangle(system, points):
@@ -538,7 +538,7 @@ def possible_body(system: System, points: Points) -> Mask:
 
 
 def check_possible(system: System, points: Points) -> None:
-    """Raise BadInput with one line unless body and start are possible at some point."""
+    """Raise BadInput with one line unless both the body and the start are possible at some point."""
     body = possible_body(system, points)
     others = f", and none of {body.size} points is possible" if body.size > 1 else ""
     if not body.any():
@@ -553,7 +553,7 @@ def check_possible(system: System, points: Points) -> None:
 
 
 def _triangle(system: System, points: Points) -> Iterator[tuple[Array, Array, tuple[str, str, str]]]:
-    """Yield, for each moment of inertia, the sum of the other two, the moment, and the three names in this order."""
+    """Yield for each moment of inertia the sum of the other two, the moment itself, and all three names in this order."""
     if system.moments_of_inertia is None:
         return
     a, b, c = system.moments_of_inertia
@@ -563,9 +563,9 @@ def _triangle(system: System, points: Points) -> Iterator[tuple[Array, Array, tu
 
 
 def within_range(system: System, points: Points) -> Mask:
-    """Where formulas of theory cannot overflow, (points,); elsewhere theory predicts nothing.
+    """Return where formulas of theory cannot overflow, (points,). Theory predicts nothing elsewhere.
 
-    Magnitudes are at most MAX_MAGNITUDE, and positive parameters at least its inverse.
+    All magnitudes are at most MAX_MAGNITUDE there, and all positive parameters are at least 1 / MAX_MAGNITUDE.
     """
     positive = [name for name, p in system.parameters.items() if p.open_low and p.low == 0]
     too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
@@ -575,7 +575,7 @@ def within_range(system: System, points: Points) -> Mask:
 
 @cache
 def families_of(system: System) -> Mapping[str, Family]:
-    """Families by name, of the system, then of extensions; extensions of this package have reserved flags and titles."""
+    """Return families by name. Families of the system precede those of extensions, for which flags and titles are reserved."""
     added: dict[str, Family] = {}
     for families in extension.every("families", lambda name: owner_of_family(name) in ("", system.name)):
         added |= families(system)
@@ -591,29 +591,29 @@ def families_of(system: System) -> Mapping[str, Family]:
 
 
 def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Extension]:
-    """Extensions that define one of these variables, or a family of the system, because any start may be on such a family."""
+    """Return extensions that define one of `variables`, or a family, because any start may be on such a family."""
     families = families_of(system).keys() - system.families.keys()
     return extension.used([name for name in variables if name not in system.derived], families)
 
 
 def stress_cases_of(system: System) -> list[StressCase]:
-    """Stress cases of a system, then of extensions."""
+    """Return the stress cases of a system and then those of extensions."""
     of_extensions = extension.of_each("stress_cases", system.name)
     return [*system.stress_cases(), *(case for cases in of_extensions for case in cases(system))]
 
 
 def other_families(system: System) -> list[Family]:
-    """Families of motions about other axes than the third and the vertical, or at a varying rate, also of extensions."""
+    """Return families of motions at a varying rate, or about other axes than the third and the vertical."""
     return [family for family in families_of(system).values() if family.axes or family.rate_std]
 
 
 def identify(
     points: Points, families: Collection[Family], others: Collection[Family] = ()
 ) -> tuple[Flags, Array]:
-    """Flag and residual of the first family that each point belongs to, see System.identify_family.
+    """Return flag and residual of the first family to which each point belongs, as System.identify_family does.
 
-    Families are tested in order. `others` come last and do not count in the least residual; their conditions are computed
-    one by one, at the usually few points that satisfy the earlier ones.
+    The families in `others` are tested last and do not count in the least residual. The conditions of such a family are
+    computed one by one, each at the points, usually few, that satisfy the earlier conditions.
     """
     shape = shape_of(points)
     flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
@@ -622,8 +622,8 @@ def identify(
         chunk = slice(first, first + _CHUNK)
         whole = len(shape) == 1 and flags.size <= _CHUNK and isinstance(points, SharedValues)
         part = points if whole else SharedValues(subset(flat, chunk))
-        flag, least = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
-        computed: dict[Condition, Array] = {}  # families share conditions
+        flag, least = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views of the results
+        computed: dict[Condition, Array] = {}  # residuals of conditions that families share
         for family in families:
             computed |= {c: _magnitude(c, part) for c in family.conditions if c not in computed}
             worst = np.max([computed[condition] for condition in family.conditions], axis=0)
@@ -637,7 +637,7 @@ def identify(
 
 
 def _identify_members(points: Points, family: Family, flags: Flags, residual: Array) -> None:
-    """Write flag and residual of points on this family whose flag is still 0."""
+    """Write `flags` and `residual` at the points on this family where `flags` is still 0."""
     members = np.flatnonzero(flags == 0)
     worst = np.zeros(members.size)
     part = points if members.size == flags.size else subset(points, members)
@@ -652,13 +652,13 @@ def _identify_members(points: Points, family: Family, flags: Flags, residual: Ar
 
 
 def _magnitude(condition: Condition, points: Points) -> Array:
-    """Magnitude of the residual of a condition, inf where it is nan."""
+    """Return the magnitude of the residual of a condition, with inf in place of nan."""
     value = np.abs(condition.residual(points))
     return np.where(np.isnan(value), np.inf, value)
 
 
 def time_units(system: System, units: str) -> str:
-    """Units of a time or rate in a system; "1" if all its parameters and observables are pure numbers."""
+    """Return `units` of a time or rate, or "1" if all parameters and observables of the system are pure numbers."""
     own = {parameter.unit for parameter in system.parameters.values()}
     own |= {observable.unit for observable in system.observables}
     return "1" if system.observables and own == {"1"} and units in ("s", "s-1") else units
@@ -666,7 +666,7 @@ def time_units(system: System, units: str) -> str:
 
 @cache
 def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
-    """Quantities from theory that a scene may list, by name: of the system, then of extensions; BadInput for a name given twice."""
+    """Return by name the quantities from theory that a scene may list. Raise BadInput if an extension repeats a name."""
     variables = dict(system.derived)
     if type(system).natural_rate is not System.natural_rate:
         variables[NATURAL_RATE] = DerivedVariable(
@@ -687,7 +687,7 @@ def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
 def derived_values(
     system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
 ) -> dict[str, NDArray[Any]]:
-    """Values of derived variables by name, at points before any nudge; shared results are computed once."""
+    """Return values of derived variables by name, at points before any nudge. Shared results are computed once."""
     variables = [variable for name, variable in derived_variables(system).items() if name in names]
     points, columns = SharedValues(points), dict[str, NDArray[Any]]()
     for variable in variables:
@@ -701,14 +701,14 @@ def derived_values(
 
 
 class SharedValues(dict[str, Array]):
-    """Points with stored values of functions that several conditions share, such as units of residuals."""
+    """Points that store values of functions, such as units of residuals, which several conditions share."""
 
     def __init__(self, points: Points):
         super().__init__(points)
         self._values: dict[Callable[[Points], Any], Any] = getattr(points, "_values", {})
 
     def of(self, function: Callable[[Points], _T]) -> _T:
-        """Value of a function of the points, computed once; its arrays are read-only."""
+        """Return the value of a function of the points. It is computed once, and its arrays are read-only."""
         if function not in self._values:
             value: Any = function(self)
             views = [np.asarray(array).view() for array in (value if isinstance(value, tuple) else (value,))]
@@ -719,7 +719,7 @@ class SharedValues(dict[str, Array]):
 
 
 def shared(function: _F) -> _F:
-    """Decorator: a function of points, or of a system and points, is evaluated once for each SharedValues."""
+    """Decorate a function of points, or of a system and points, so that each SharedValues evaluates it once."""
 
     @wraps(function)
     def of(*arguments: Any) -> Any:
@@ -732,7 +732,7 @@ def shared(function: _F) -> _F:
 
 
 def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
-    """Columns at some of the points, given by a mask, indices or a slice."""
+    """Return the columns at the points that a mask, indices or a slice select."""
     return {name: values[where] for name, values in columns.items()}
 
 
@@ -741,12 +741,12 @@ def shape_of(points: Points) -> tuple[int, ...]:
 
 
 def unsteady(system: System, flags: Flags) -> Mask:
-    """Where a family's motions turn about the vertical at a varying rate, (points,)."""
+    """Return where `flags` are those of families that turn about the vertical at a varying rate, (points,)."""
     return np.isin(flags, [each.flag for each in families_of(system).values() if each.rate_std])
 
 
 def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
-    """Standard deviation, over each run, of the rate about the vertical, rad per time unit, (points,); 0 for steady motions."""
+    """Return the standard deviation over each run of the rate about the vertical, rad per time unit; 0 for steady motions."""
     result = np.zeros(flags.shape)
     for family in families_of(system).values():
         if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:
@@ -755,7 +755,7 @@ def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> A
 
 
 def rough_stability(system: System, points: Points, flags: Flags) -> tuple[Flags, Array]:
-    """System.linear_stability, with fewer digits of the growth rate for families that have `rough_stability`."""
+    """Return System.linear_stability, with fewer digits of the growth rate for families that have `rough_stability`."""
     rough = {f.flag: f.rough_stability for f in families_of(system).values() if f.rough_stability}
     stable, growth = system.linear_stability(points, np.where(np.isin(flags, list(rough)), 0, flags))
     for flag, decide in rough.items():
@@ -765,14 +765,14 @@ def rough_stability(system: System, points: Points, flags: Flags) -> tuple[Flags
 
 
 def on_family(family: Family, points: Points) -> Array:
-    """Largest condition residual (dimensionless) of a family at each point; inf where a residual is undefined."""
+    """Return the largest dimensionless condition residual of a family, or inf where a residual is undefined."""
     return np.max([_magnitude(condition, points) for condition in family.conditions], axis=0)
 
 
 def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:
-    """Angular velocity relative to the frame, and a vector at rest in the frame, in body axes at times t.
+    """Return the angular velocity relative to the frame and a vector at rest in the frame, in body axes at times `t`.
 
-    The body turns by m t about its own axis, then by n t about the axis at rest in the frame.
+    The body turns by m t about `spin_axis` and then by n t about `fixed_axis`.
     """
     s, fixed = axes.spin_axis, axes.fixed_axis
     shape = (3, *np.broadcast_shapes(t.shape, s.shape[1:]))

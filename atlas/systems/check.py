@@ -1,4 +1,4 @@
-"""Checks of systems that users write: each mistake gives one line."""
+"""Check systems that users write. Each mistake gives one line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .base import Observable, Parameter, System
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
 _BY_EQUATIONS = "the equations and their FRAME_VECTORS decide which starts are steady motions"
-# Name that no system may have -> what replaces it, for messages.
+# Names that no system may have, with a text for messages that says what replaces the name.
 REPLACED = {
     "paper": "the rows of a paper are `published` of an extension",
     "complete": _BY_EQUATIONS,
@@ -36,12 +36,12 @@ REPLACED = {
     "within_range": "theory makes no prediction where parameters are beyond 1e60",
     "despun_equivalent": "`despun` of a Gyrostat",
 }
-# Longest name of a parameter, in characters, as for names that a scene defines.
+# Largest number of characters in the name of a parameter. Names that a scene defines have the same limit.
 MAX_NAME = 60
 
 
 def check(system: object) -> None:
-    """Raise BadInput with one line unless an object is a system that the package can use."""
+    """Raise BadInput with one line unless `system` is a system that the package can use."""
     if not isinstance(system, System):
         raise BadInput(f"found {shown(system)}: not an object of a subclass of atlas.systems.System")
     check_complete(type(system), system)
@@ -61,7 +61,7 @@ def check(system: object) -> None:
 
 
 def check_complete(kind: type[System], system: System | None = None) -> None:
-    """Raise BadInput for a required member that a class, or its object, lacks, or a name in REPLACED that it has."""
+    """Raise BadInput if a class, or the object `system`, lacks a required member or has a name in REPLACED."""
     for name in ("name", "title", "equations", "parameters", "initial_state"):
         if not hasattr(system or kind, name) or name in kind.__abstractmethods__:
             raise BadInput(f"{kind.__name__}.{name} is missing")
@@ -166,8 +166,8 @@ def _check_unit_and_text(key: str, unit: object, name: str, text: object) -> Non
         raise BadInput(f"{key}{name} = {shown(text)}: must be a text")
 
 
-# Units of parameters and observables: products of powers of the units that UDUNITS has, such as "kg m2 s-1"; first units
-# that take prefixes, then units that take none.
+# Units of parameters and observables are products of powers of UDUNITS units, such as "kg m2 s-1". The units in _PREFIXED
+# take prefixes, and the units in _PLAIN take none.
 _PREFIXED = (
     "m g s A K mol cd Hz N Pa J W C V F ohm S Wb T H rad sr eV bar L l lm lx Bq Gy t meter metre gram second ampere kelvin"
     " mole candela hertz newton pascal joule watt coulomb volt farad siemens weber tesla henry radian steradian liter"
@@ -187,7 +187,7 @@ _BETWEEN = re.compile(r"\s*[*./]\s*|\s+|$")
 
 
 def is_unit(text: object) -> bool:
-    """Whether a text is a unit in the spelling of UDUNITS, singular or plural; pure numbers have "1"."""
+    """Return whether a text is a unit in the spelling of UDUNITS. The unit of pure numbers is "1"."""
     if not isinstance(text, str) or not text:
         return False
     position = 0

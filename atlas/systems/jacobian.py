@@ -1,4 +1,4 @@
-"""Numeric bounds of frequencies, from a high power of the Jacobian, and time derivatives of states."""
+"""Compute bounds of frequencies from a high power of the Jacobian, and time derivatives of states."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Complex step: f'(x) = Im f(x + i STEP) / STEP, exact up to rounding.
+# Complex step of the derivative f'(x) = Im f(x + i STEP) / STEP, which is exact up to rounding.
 STEP = 1e-30
-# Time, in units of 1 / rate, before and after an instant at which central differences are taken.
+# Step in time of central differences, in units of 1 / rate.
 DISTANCE = 1e-3
-# |J^p|^(1/p) with p = 2^SQUARINGS exceeds the spectral radius of random 6 x 6 matrices by 1 % (at most 6 %), or 14 % (25 %)
-# if units of states differ by factors of up to 10^6; p = 16 would give 69 % (135 %).
+# The bound |J^p|^(1/p), p = 2^SQUARINGS, exceeds the spectral radius of random 6 x 6 matrices by 1 % (at most 6 %). If units
+# of states differ by factors of up to 10^6, the excess is 14 % (at most 25 %). With p = 16 it would be 69 % (at most 135 %).
 SQUARINGS = 6
-CHUNK = 4096  # points whose matrices are in memory together
+CHUNK = 4096  # number of points whose matrices are in memory together
 
 
 def frequency(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger, rad per time unit.
+    """Return |J^64|^(1/64) of the Jacobian J of the right-hand side, or the angular velocity of a body if this is larger.
 
-    The result is at least the largest |eigenvalue| of J; nan or infinite where J is not finite.
+    The result, in rad per time unit, is at least the largest |eigenvalue| of J. It is nan or infinite where J is not finite.
     """
     result = np.empty(state.shape[1:])
     flat = result.reshape(-1)
@@ -41,7 +41,7 @@ def frequency(
             flat[chunk] = np.exp(logarithm)
     if not hasattr(equations, "frame_motion"):
         return np.fmax(result, 0.0)
-    # A right-hand side independent of the angle of a rotation has a Jacobian without the rate of this rotation.
+    # If the right-hand side does not depend on the angle of a rotation, the Jacobian does not contain the rate of rotation.
     with np.errstate(all="ignore"):
         u1, u2, u3, *_ = equations.frame_motion(state, constants)
         return np.fmax(result, np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
@@ -50,9 +50,9 @@ def frequency(
 def derivatives(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64], rate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """States and their first three time derivatives, in units of time 1 / rate, with errors of about DISTANCE^2.
+    """Return states and their first three time derivatives in units of time 1 / `rate`, with errors of about DISTANCE^2.
 
-    The third derivative, unlike the Jacobian, contains the rate at which the equations change in time.
+    Unlike the Jacobian, the third derivative contains the rate at which the equations change in time.
     """
 
     def first(at: NDArray[Any]) -> NDArray[Any]:
@@ -71,7 +71,7 @@ def derivatives(
 def jacobian(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Derivatives of the right-hand side by the state, shape (points, states, states); arguments as for `frequency`."""
+    """Return the derivatives of the right-hand side by the state, shape (points, states, states)."""
     matrices = np.empty((state.shape[1], len(state), len(state)))
     with np.errstate(all="ignore"):
         for i in range(len(state)):
@@ -85,6 +85,6 @@ def jacobian(
 def changes_volume(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Where phase volume changes, as in damped or driven motion, by the trace of the Jacobian, (points,)."""
+    """Return where the trace of the Jacobian is not 0, (points,). Phase volume changes there, as in damped motion."""
     own = np.diagonal(jacobian(equations, state, constants), axis1=1, axis2=2)
     return np.asarray(np.abs(own.sum(1)) > 1e-12 * np.abs(own).sum(1))

@@ -1,4 +1,4 @@
-"""Systems of other installed packages, from their entry points in the group `atlas.systems`."""
+"""Find systems of other installed packages by their entry points in the group `atlas.systems`."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ GROUP = "atlas.systems"
 class Origin:
     """Origin of a system that is not built in."""
 
-    package: str  # name and version of the installed package; empty: registered in this process
-    # hash, at registration, of the source files, or of the bytecode of a system without files
+    package: str  # name and version of the installed package; empty for a system registered in this process
+    # Hash of the source files at registration. A system without files has the hash of its bytecode.
     code: str
-    files: tuple[Path, ...]  # its source files
+    files: tuple[Path, ...]  # source files of the system
 
     def changed(self) -> Path | None:
-        """The only file, or the folder of several files, if contents have changed since registration; else None."""
+        """Return the file, or the folder of several files, if contents changed after registration, else None."""
         if self.files and _hash_of_files(self.files) != self.code:
             return self.files[0].parent if len(self.files) > 1 else self.files[0]
         return None
 
 
 def names() -> list[str]:
-    """Names of the systems of installed packages, in alphabetical order; nothing is imported."""
+    """Return the sorted names of the systems of installed packages without importing any of them."""
     return sorted({entry.name for entry in entry_points(group=GROUP)})
 
 
 def load(name: str) -> tuple[object, str] | None:
-    """Object of the entry point with this name, and its package; None without such an entry point.
+    """Return the object of the entry point `name` and its package, or None if there is no such entry point.
 
-    Raises BadInput if the object cannot be imported, or if two packages use the name.
+    Raise BadInput if the object cannot be imported, or if two packages use the name.
     """
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
@@ -61,7 +61,7 @@ def load(name: str) -> tuple[object, str] | None:
 
 
 def origin(system: System, package: str) -> Origin:
-    """Origin of a system: package, and files of the top-level packages (or modules) that define classes and equations."""
+    """Return the origin of a system, with the files of all packages or modules that define its classes and equations."""
     classes, equations = type(system).__mro__[: type(system).__mro__.index(System)], system.equations
     modules = {cls.__module__ for cls in classes}
     modules.add(equations.__name__ if isinstance(equations, ModuleType) else equations.__module__)
@@ -76,7 +76,7 @@ def origin(system: System, package: str) -> Origin:
     files = tuple(sorted(paths))
     if files:
         return Origin(package, _hash_of_files(files), files)
-    texts = []  # for a system without files, as in a notebook
+    texts = []  # the code of a system without files, as in a notebook
     for owner in (*classes, equations):
         for name, value in sorted(vars(owner).items()):
             function = getattr(value, "__func__", value)
@@ -89,7 +89,7 @@ def origin(system: System, package: str) -> Origin:
 
 
 def _hash_of_files(files: tuple[Path, ...]) -> str:
-    """Hash of the names and contents of files; missing files count as empty."""
+    """Return a hash of the names and contents of files. A missing file counts as empty."""
     content = hashlib.sha256()
     for file in files:
         content.update(file.name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b"") + b"\0")

@@ -1,4 +1,4 @@
-"""Systems to which the theorem of theory/steady.py applies, and functions that rooms below `theory` need."""
+"""Test whether the theorem of theory/steady.py applies to a system, and study starts on the vertical."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .base import FAMILY_TOLERANCE, Array, Mask, Points, System, families_of, sh
 from .jacobian import STEP
 from .vectors import cross, dot, length, principal
 
-# Largest rounding error of a sum, relative to the magnitudes of its terms, if each term has fewer than 40 roundings.
+# Largest rounding error of a sum as a fraction of the magnitudes of its terms, if each term has fewer than 40 roundings.
 TERM_ROUNDING = 64 * 2.0**-53
-# Residual of the equations, divided by the squared frequency bound, above which a start is surely no steady motion.
+# A start is surely no steady motion if the residual of the equations, over the squared frequency bound, exceeds this value.
 GATE = 1e-6
 
 
 @cache
 def polynomial_degree(system: System) -> int | str:
-    """Degree of the right-hand side in the states, or a sentence why the theorem does not apply."""
+    """Return the degree of the right-hand side in the states, or a sentence that says why the theorem does not apply."""
     equations = system.equations
     vectors = {name for triple in getattr(equations, "FRAME_VECTORS", ()) for name in triple}
     if system.observables or len(system.rate_states) != 3 or not vectors:
@@ -69,10 +69,10 @@ def polynomial_degree(system: System) -> int | str:
 
 @np.errstate(all="ignore")
 def growth_about_vertical(system: System, points: Points) -> Array:
-    """Growth rate, (points,), of the angle about the third axis while this axis stays exactly on the vertical.
+    """Return the growth rate, (points,), of the angle about the third axis while this axis stays exactly on the vertical.
 
-    The angle obeys delta'' = a delta + b delta' with derivatives a, b of the equations; where the rate is 0, rounding decides no
-    label. nan off the vertical, and for systems to which the theorem does not apply.
+    The angle obeys delta'' = a delta + b delta', where a and b are derivatives of the equations. Where the growth rate is 0,
+    rounding decides no label. It is nan off the vertical, and for systems to which the theorem does not apply.
     """
     growth = np.full(shape_of(points), np.nan)
     if isinstance(polynomial_degree(system), str):
@@ -99,9 +99,9 @@ def growth_about_vertical(system: System, points: Points) -> Array:
 
 @np.errstate(all="ignore")
 def lacks_theory(system: System, points: Points) -> Mask:
-    """Whether a start may be on a family of an extension that is not installed, (points,).
+    """Return whether each start may be on a family of an extension that is not installed, (points,).
 
-    It may be on such a family where the third axis stays on the vertical at first while the rate about the vertical changes.
+    This is possible where the third axis stays on the vertical at first while the rate about the vertical changes.
     """
     is_complete = reserved_families(system.name).keys() <= families_of(system).keys()
     if is_complete or isinstance(polynomial_degree(system), str):
@@ -118,7 +118,7 @@ def lacks_theory(system: System, points: Points) -> Mask:
 
 
 def _start(system: System, points: Points) -> tuple[Array, Array]:
-    """States and constants; on the vertical, transverse rates that are rounding errors of a fast precession are removed."""
+    """Return states and constants, without rounding errors of a fast precession in the transverse rates on the vertical."""
     state, constants = np.array(system.initial_state(points), float), system.constants(points)
     sine, n, _ = system.steady_rates(points)
     across = np.array(system.equations.frame_motion(state, constants)[:2])

@@ -1,4 +1,4 @@
-"""Names of families as the papers word them, for messages."""
+"""Find families by the names that papers give them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .base import Family
 
 
 def unknown_family(name: str, families: Mapping[str, Family]) -> str:
-    """End of a message about an unknown family: families that the paper calls by this name, else the allowed names."""
+    """Return the end of a message that lists families which the paper calls `name`, or else the allowed names."""
     words = re.escape(name.lower())
     matches = [f for f in families.values() if name and re.search(rf"\b{words}\b", f.paper_wording.lower())]
     if 0 < len(matches) <= 2:

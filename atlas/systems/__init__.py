@@ -89,7 +89,7 @@ def _register(system: Any, package: str, name: str = "") -> System:
         if isinstance(system, type) and issubclass(system, System):
             check_complete(system)
             system = system()
-        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # a registered system has completed equations
+        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # registration sets SOURCES
         if new:
             check(system)
         if system.name in BUILT_IN and not package:

@@ -208,8 +208,8 @@ class StressCase:
     description: str
     duration: ArrayLike  # time units
     columns: Mapping[str, ArrayLike]  # parameters by name; a missing parameter takes its default
-    solve: tuple[str, str] | None = None  # family, and the parameter that is solved to put the points on the family
-    additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # offsets that are added to parameters after solving
+    solve: tuple[str, str] | None = None  # family, and the parameter for which the family is solved
+    additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to the solved parameters
     may_stay_unresolved: str = ""  # why a point may stay unresolved even with an automatic step
     # Exact motion of the points, as the name of a class or as a function from a point to the motion. "departure" says that the
     # additions are tiny offsets from an unstable equilibrium. If empty, theory or the reference integrator gives the true label.

@@ -1,31 +1,31 @@
 """Regular precessions and permanent rotations of the gyrostat about other axes than the third and the vertical.
 
-A motion w = n nu + m s has an axis s at rest in the body and an axis nu at rest in space; theta1 is the angle between them,
-kappa the angle from nu to the vertical g. The equations are linear in I, l and the weight Mg r_c. Written as
-harmonics of the angles n t and m t they allow, with n, m, sin theta1 not 0:
+In a motion w = n nu + m s the axis s is at rest in the body, and the axis nu is at rest in space. The angle between s and nu
+is theta1, and the angle between nu and the vertical g is kappa. The equations are linear in I, l and the weight Mg r_c, and they
+are written in harmonics of the angles n t and m t. If n, m and sin theta1 are not 0, they allow four cases:
 
-- kappa not 0 and N not 0: the harmonic 2 n + 2 m and then 2 n + m (with n - m for n + m if n and m differ in sign)
-  leave a spherical body, on which the field has no effect, without weight (next item): `free_precession`;
-- kappa not 0, N = 0 and Mg r_c not 0: the harmonics n + m and n - m of the weight need |n| = |m| and theta1 = pi/2; what
-  remains is `grioli`. Without weight the body is symmetric about s: `free_precession`;
-- kappa = 0 and N = n^2: the field and the centrifugal torque cancel, and s is normal to a circular section of the
-  ellipsoid of inertia: `balanced_field`;
-- kappa = 0 otherwise: the body is symmetric about s, which carries rotor and centre of mass: `conical`, or
-  `other_axis` where s is not the third axis.
+- kappa and N are not 0. The harmonic 2 n + 2 m and then 2 n + m (with n - m for n + m if n and m differ in sign) leave a
+  spherical body, on which the field has no effect. By the next case it has no weight and belongs to `free_precession`.
+- kappa is not 0, and N = 0. The harmonics n + m and n - m of a weight need |n| = |m| and theta1 = pi/2, which leaves
+  `grioli`. A body without weight is symmetric about s and belongs to `free_precession`.
+- kappa = 0 and N = n^2. The field and the centrifugal torque cancel, and s is normal to a circular section of the
+  ellipsoid of inertia. The family is `balanced_field`.
+- kappa = 0 and N is not n^2. The body is symmetric about s, and rotor and centre of mass are along s. The family is
+  `conical`, or `other_axis` where s is not the third axis.
 
-A permanent rotation that is inclined to the vertical needs a free body, `free_rotation`, or it is a rotation about a
-resting axis of symmetry, `rest` or `other_axis`. So together with the families about the third axis these are all.
+A permanent rotation that is inclined to the vertical needs a free body, `free_rotation`, or turns about a resting axis of
+symmetry, `rest` or `other_axis`. Together with the families about the third axis, these families are therefore complete.
 `tests/systems/test_any_axis_families.py` confirms each step.
 
-In Lagrange's case about another axis s of symmetry than the third, with C = s.I s and c = s.g:
+In Lagrange's case about another axis s of symmetry than the third, with C = s.I s, A the moment across s, and c = s.g,
 (C - A)(n^2 - N) c + (C m + l.s) n + Mg r_c.s = 0.
 
-In Grioli's precession of a heavy body with a rotor the body turns at equal rates about s = w / |w| and about an axis nu normal
-to it. With b = s.I s
+In Grioli's precession a heavy body with a rotor turns at equal rates about s = Mg r_c / |Mg r_c| and about an axis nu normal
+to s. With b = s.I s
 
     |Mg r_c| g = -(b n^2 + (l.s) n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s].
 
-In a balanced field w = n g + m s, and with D the part of I s across s
+In a balanced field w = n g + m s. If D is the part of I s across s, then
 
     l across s = -(m + 2 n s.g) D,   Mg r_c = -n (l + m (s.I s) s).
 
@@ -54,12 +54,12 @@ from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
-# Grioli's start for the last body, (shape, bytes of the body) -> state, because six formulas share this state.
+# State of Grioli's start for the last body, by the shape and the bytes of the body. Six formulas share this state.
 _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
 class Start(motions.Start):
-    """Start of a body about a fixed point; residuals are in units of its least moment."""
+    """Start of a body about a fixed point. The unit of residuals contains the least moment of the body."""
 
     def __init__(self, points: Points):
         self.inertia, self.rotor, self.weight, self.N = bodies(points)
@@ -69,15 +69,15 @@ class Start(motions.Start):
         self.field_torque = np.maximum(length(self.weight), gradient)
 
     def field_residual(self) -> Array:
-        """Residual of the field's gradient, which has no effect on a spherical body."""
+        """Return the residual of the field's gradient, which has no effect on a spherical body."""
         return self.residual(self.N * (self.inertia.max(0) - self.inertia.min(0)))
 
     def rotor_residual(self, s: Array) -> Array:
-        """Residual of the part of the rotor across a unit vector."""
+        """Return the residual of the part of the rotor that is normal to the unit vector `s`."""
         return self.residual(cross(self.rotor, s) * length(self.w))
 
     def axis_of_symmetry(self, candidates: tuple[int, ...], otherwise: Array) -> Array:
-        """The principal axis about which the body is nearest to symmetry; a given vector for a spherical body."""
+        """Return the principal axis nearest to an axis of symmetry, or `otherwise` for a spherical body."""
         inertia = self.inertia
         differences = np.array([np.abs(inertia[(i + 1) % 3] - inertia[(i + 2) % 3]) for i in candidates])
         axis = principal(np.array(candidates)[differences.argmin(0)])
@@ -85,7 +85,7 @@ class Start(motions.Start):
         return np.where(spherical, unit(otherwise, axis), axis)
 
     def section_difference(self, s: Array) -> Array:
-        """How far the section of the ellipsoid of inertia normal to s is from a circle, divided by the largest moment."""
+        """Return how far the section of the ellipsoid of inertia normal to `s` is from a circle, over the largest moment."""
         first = unit(cross(s, principal(np.abs(s).argmin(0))))
         second = cross(s, first)
         difference = dot(self.inertia * first, first) - dot(self.inertia * second, second)
@@ -95,7 +95,7 @@ class Start(motions.Start):
     def solve_rotor(
         cls, line: Callable[[Any], tuple[Array | float, Array]], name: str, points: Points
     ) -> Array:
-        """One component of a rotor base + lambda direction, with lambda from another component; line: start -> base, direction."""
+        """Return one component of a rotor base + lambda direction, where `line` returns base and direction for a start."""
         start = cls(points)
         return along(ROTORS.index(name), start.rotor, *line(start))
 
@@ -120,7 +120,7 @@ def _with_unit_weight(points: Points) -> Points:
 
 
 def section_normals(inertia: Array) -> Array:
-    """Normals of circular sections of the ellipsoid of inertia; of each component the magnitude, as only signs differ."""
+    """Return the magnitudes of the components of a normal of a circular section. The normals differ only in signs."""
     order = np.argsort(inertia, axis=0, kind="stable")
     low, middle, high = np.take_along_axis(inertia, order, 0)
     squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
@@ -128,7 +128,7 @@ def section_normals(inertia: Array) -> Array:
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
-    """Component i of a vector base + lambda direction, with lambda from the other component in which direction is largest."""
+    """Return component `i` of base + lambda direction. The other component with the largest direction gives lambda."""
     magnitudes = np.abs(direction)
     magnitudes[i] = -1.0
     base = np.broadcast_to(base, direction.shape)
@@ -145,7 +145,7 @@ class Lagrange(Start):
         return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)
 
     def torque(self) -> tuple[Array, Array]:
-        """Left side of the balance without the weight, and the weight along s."""
+        """Return the left side of the balance without the weight, and the weight along s."""
         s, m, g, n = self.axes()
         C = dot(self.inertia * s, s)
         A = 0.5 * (self.inertia.sum(0) - C)
@@ -171,10 +171,10 @@ class Rotation(Start):
 
 
 class Precession(Start):
-    """A free symmetric body that turns about its axis of symmetry and its angular momentum."""
+    """A free symmetric body that turns about the axis of symmetry and about the angular momentum."""
 
     def axes(self) -> TwoAxes:
-        """Axes and rates: |G| / A about the angular momentum G, and ((A - C) w.s - l.s) / A about s."""
+        """Return the axis s with the rate ((A - C) w.s - l.s) / A, and the angular momentum G with the rate |G| / A."""
         s = self.axis_of_symmetry((2, 0, 1), self.rotor)
         momentum = self.inertia * self.w + self.rotor
         axial = dot(self.inertia * s, s)
@@ -192,7 +192,7 @@ class Grioli(Start):
         return TwoAxes(s, n, across(self.w, s) / n, n)
 
     def vertical(self, axes: TwoAxes) -> Array:
-        """Mg |r_c| times the vertical."""
+        """Return Mg |r_c| times the vertical."""
         s, n, nu, _ = axes
         momentum = self.inertia * s
         along = dot(momentum, s) * n**2 + dot(self.rotor, s) * n
@@ -206,13 +206,13 @@ class Grioli(Start):
 
     @classmethod
     def solve_weight(cls, points: Points) -> Array:
-        """Mg > 0 from the start and the offset: Mg |r_c| is the length of `vertical(axes)`."""
+        """Return the Mg > 0 for which Mg |r_c| is the length of `vertical(axes)`."""
         start = cls(_with_unit_weight(points))
         return length(start.vertical(start.axes())) / length(start.weight)
 
     @classmethod
     def solve_start(cls, name: str, points: Points) -> Array:
-        """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact."""
+        """Return one of p0 .. gamma30 when nu lies in the plane of s and I s. All six together start an exact motion."""
         start = cls(points)
         values = np.stack([*start.inertia, *start.rotor, *start.weight])
         near = points.get(f"{NEAR}n", np.full_like(points["A"], np.nan))
@@ -224,15 +224,16 @@ class Grioli(Start):
         return state[VECTORS.index(name)].copy()
 
     def initial_state(self, near: Array) -> Array:
-        """p0 .. gamma30 at the time at which nu lies in the plane of s and I s; nan where the body has no such motion.
+        """Return p0 .. gamma30 when nu lies in the plane of s and I s, or nan where the body has no such motion.
 
-        n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 nearest to `near`, or the largest positive root where near is nan.
+        With b = s.I s, d = |s x I s| and l the rotor along s, n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 that is
+        nearest to `near`. Where `near` is nan, n is the largest positive root.
         """
         s = unit(self.weight)
         momentum = self.inertia * s
         b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(self.rotor, s)
         square = (self.weight**2).sum(0)
-        # The roots are eigenvalues of the companion matrix, in a unit that makes its last coefficient -1.
+        # The roots are eigenvalues of the companion matrix. The unit `scale` makes the last coefficient of the quartic -1.
         a4, a3, a2 = b**2 + d2, 2 * b * rotor, rotor**2
         scale = np.sqrt(np.sqrt(square / a4))
         matrix = np.zeros((*a4.shape, 4, 4))
@@ -257,7 +258,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """One coordinate of a centre of mass on a normal of a circular section, from another coordinate; the given sign stays."""
+        """Return one coordinate of a centre of mass on a normal of a circular section, with the sign that was given."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])
@@ -267,7 +268,7 @@ class Balanced(Start):
     """Precession about the vertical where field and centrifugal torque cancel."""
 
     def axes(self) -> TwoAxes:
-        """Axes and rates, with the sign of n for which the spin axis is nearer to a normal of a circular section."""
+        """Return axes and rates, with the sign of n that puts the spin axis nearer to a normal of a circular section."""
         candidates, off = [], []
         for sign in (1.0, -1.0):
             n = sign * np.sqrt(self.N)
@@ -279,7 +280,7 @@ class Balanced(Start):
         return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
 
     def needed_rotor(self) -> tuple[Array, Array]:
-        """The part of the rotor across the spin axis that balances the motion, and this axis."""
+        """Return the part of the rotor across the spin axis that balances the motion, and the spin axis."""
         s, m, g, n = self.axes()
         return -(m + 2 * n * dot(s, g)) * across(self.inertia * s, s), s
 
@@ -288,7 +289,7 @@ class Balanced(Start):
         return self.residual((across(self.rotor, s) - needed) * length(self.w))
 
     def excess_weight(self) -> Array:
-        """Mg r_c minus the value that balances the motion."""
+        """Return Mg r_c minus the value that balances the motion."""
         s, m, _, n = self.axes()
         return self.weight + n * (self.rotor + m * dot(self.inertia * s, s) * s)
 

@@ -1,17 +1,17 @@
 """Euler-Poisson equations of a gyrostat about a fixed point in a central Newtonian field.
 
-The system (1) of Amer, Abo Essa, Ibrahim & Amer in dimensional form and for any body, centre of mass
-and gyrostatic momentum; `tests/systems/test_fixed_point_equations.py` derives it from the Lagrangian. All
-vectors are given in the body's principal axes at the fixed point: w = (p, q, r) is the angular velocity
-and g (gamma) the unit vector of the vertical Z, which points to the attracting centre (down).
+They are the system (1) of Amer, Abo Essa, Ibrahim & Amer in dimensional form, for any body, centre of mass and gyrostatic
+momentum. `tests/systems/test_fixed_point_equations.py` derives them from the Lagrangian. All vectors are given in the
+body's principal axes at the fixed point. The angular velocity is w = (p, q, r), and g (gamma) is the unit vector of the
+vertical Z, which points down to the attracting centre.
 
     I w' = (I w + l) x w + Mg r_c x g + N g x (I g) - damping w,     g' = g x w
 
-The paper has no damping; with damping the energy falls at the rate damping w.w.
+The paper has no damping. With damping the energy falls at the rate damping w.w.
 
-Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
-is plain arithmetic, which holds for numbers and for arrays of one shape. The source of the functions is
-copied into the kernels, so they may use no imports and only names of this file.
+Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS. It is plain
+arithmetic, which works for numbers and for arrays of one shape. The source is copied into the kernels. The functions
+may therefore use no imports and only names of this file.
 """
 
 STATE = ("p", "q", "r", "g1", "g2", "g3")
@@ -23,14 +23,14 @@ CONSTANTS = (
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ()
-# First integrals: name of the function below, and the power of a rate in its unit.
+# Names of first integrals, which are functions below, with the power of a rate in the unit of each.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
-# First integral that damping changes -> name of the function below for its loss per time.
+# First integrals that damping changes, with the names of the functions below for the loss per time.
 LOSSES = {"energy": "energy_loss"}
 
 
 def rhs(state, constants):
-    """Time derivatives of the state; F collects both fields, whose torque is g x F."""
+    """Return the time derivatives of the state. The torque of both fields is g x F."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
@@ -46,7 +46,7 @@ def rhs(state, constants):
 
 
 def scaled(state, constants, h):
-    """State and constants in units in which the time h is 1."""
+    """Return state and constants in units in which the time `h` is 1."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return (p * h, q * h, r * h, g1, g2, g3), (
@@ -56,22 +56,22 @@ def scaled(state, constants, h):
 
 
 def unscaled(state, constants, h):
-    """Inverse of `scaled` for the state."""
+    """Return a state of `scaled` in the original units."""
     p, q, r, g1, g2, g3 = state
     return p / h, q / h, r / h, g1, g2, g3
 
 
 def frame_motion(state, constants):
-    """Angular velocity relative to space and the frame's vertical, w and g; linear in the state."""
+    """Return the angular velocity w relative to space and the vertical g. Both are linear in the state."""
     p, q, r, g1, g2, g3 = state
     return p, q, r, g1, g2, g3
 
 
-# First integrals, each as the tuple of its terms, because the change of their sum is compared with their magnitudes.
+# A first integral returns a tuple of terms, because the change of the sum is compared with the magnitudes of the terms.
 
 
 def energy(state, constants):
-    """Kinetic energy plus the potential -Mg r_c . g + (N/2) g . I g; the rotor does not enter."""
+    """Kinetic energy plus the potential -Mg r_c . g + (N/2) g . I g. The rotor does not contribute."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return (
@@ -95,14 +95,14 @@ def length_gamma(state, constants):
 
 
 def lagrange(state, constants):
-    """C r + l3, conserved if A = B, l1 = l2 = 0 and Mg x0 = Mg y0 = 0."""
+    """C r + l3, which is conserved if A = B, l1 = l2 = 0 and Mg x0 = Mg y0 = 0."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return C * r, l3
 
 
 def clebsch(state, constants):
-    """|I w + l|^2 - N det(I) g . I^-1 g, conserved if Mg r_c = 0 and either l = 0 or the field exerts no torque."""
+    """|I w + l|^2 - N det(I) g . I^-1 g, which is conserved if Mg r_c = 0 and either l = 0 or the field exerts no torque."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
@@ -113,7 +113,7 @@ def clebsch(state, constants):
 
 
 def kovalevskaya(state, constants):
-    """Kovalevskaya's integral with a rotor, conserved if A = B = 2 C, Mg z0 = 0, l1 = l2 = 0 and N = 0."""
+    """Kovalevskaya's integral with a rotor, which is conserved if A = B = 2 C, Mg z0 = 0, l1 = l2 = 0 and N = 0."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     x, y, rotor = Mx * C_inv, My * C_inv, l3 * C_inv
@@ -130,7 +130,7 @@ def kovalevskaya(state, constants):
 
 
 def energy_loss(state, constants):
-    """Loss of `energy` per time, damping w.w."""
+    """Return the loss of `energy` per time, damping w.w."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return damping * (p * p + q * q + r * r)

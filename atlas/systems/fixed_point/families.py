@@ -1,19 +1,19 @@
-"""Steady motions of the gyrostat about a fixed point: conditions, and solvers for one parameter each.
+"""Steady motions of the gyrostat about a fixed point, with conditions and with solvers for one parameter each.
 
-A steady motion keeps theta, psi' = n and phi' = m constant, so w = n g + m e3 with e3 the third body axis.
-Put into the equations of motion with g = (s sin phi, s cos phi, c), s = sin theta, c = cos theta,
-K = n^2 - N and b = n l + Mg r_c it needs, at every phi = phi0 + m t,
+A steady motion keeps theta, psi' = n and phi' = m constant, so that w = n g + m e3, where e3 is the third body axis.
+With g = (s sin phi, s cos phi, c), s = sin theta, c = cos theta, K = n^2 - N and b = n l + Mg r_c, the equations of
+motion require at every phi = phi0 + m t
 
     K (B - C) g2 c + n m (B - A - C) g2 + b2 c - b3 g2 + m l2 = 0
     K (C - A) g1 c + n m (B - A + C) g1 + b3 g1 - b1 c - m l1 = 0
     K (A - B) g1 g2 + b1 g2 - b2 g1 = 0
 
-s = 0 leaves b1 = b2 = 0 with n = r c: `sleeping`. m = 0 leaves K I g + b parallel to g at one phi: `staude`
-(n != 0) and `rest`. If m and s are not zero, phi takes every value and the coefficients of 1, sin phi,
-cos phi and sin 2 phi vanish one by one: b1 = b2 = 0, then l1 = l2 = 0, then Mg x0 = Mg y0 = 0,
-K (A - B) = 0, K (B - C) c + n m (B - A - C) = b3 and K (C - A) c + n m (B - A + C) = -b3. With A = B both
-are the one equation of `conical`; with A != B they need K = n = 0, that is N = 0, and then Mg z0 = 0:
-a free body that turns about its third axis, in `rest`. So these four families are complete.
+If s = 0, they reduce to b1 = b2 = 0 with n = r c, the family `sleeping`. If m = 0, K I g + b is parallel to g at one phi,
+in the families `staude` (n != 0) and `rest`. If m and s are not 0, phi takes every value, and the coefficients of 1,
+sin phi, cos phi and sin 2 phi vanish one by one. They give b1 = b2 = 0, then l1 = l2 = 0, then Mg x0 = Mg y0 = 0,
+K (A - B) = 0, K (B - C) c + n m (B - A - C) = b3 and K (C - A) c + n m (B - A + C) = -b3. With A = B the last two are
+the one equation of `conical`. With A != B they require K = n = 0, that is N = 0, and then Mg z0 = 0. This is a free
+body that turns about its third axis, in `rest`. The four families are therefore complete.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from .initial import bodies, body, fields, initial_state, rates, symmetric, vert
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
-    """sin theta, psi' = n and phi' = m of the steady motion with each start."""
+    """Return sin theta, psi' = n and phi' = m of the steady motion that has each start."""
     gamma = vertical(points)
     _, n, m = rates(points)
     return np.hypot(gamma[0], gamma[1]), n, m
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: |w0|^2, or a torque of fields or rotor divided by the least moment."""
+    """Return |w0|^2, or the largest torque of fields or rotor divided by the least moment if this is larger."""
     inertia, rotor, weight, N = bodies(points)
     turn, least = (initial_state(points)[:3] ** 2).sum(0), inertia.min(0)
     torque = np.maximum(length(weight), np.abs(N) * (inertia.max(0) - least))
@@ -60,28 +60,31 @@ def squared_rate(points: Points) -> Array:
 
 
 def _squared_unit(points: Points) -> Array:
-    """Squared unit of rates: `squared_rate`, infinite where this is 0 or underflows, so that residuals vanish."""
+    """Return the squared unit of rates. It is infinite where `squared_rate` is 0, so that residuals vanish."""
     square = squared_rate(points)
     return np.where(square == 0, np.inf, square)
 
 
 def _rate(points: Points) -> Array:
-    """Unit of rates."""
+    """Return the unit of rates."""
     return np.sqrt(_squared_unit(points))
 
 
 def _torque(points: Points) -> Array:
-    """Unit of torques: least moment times squared unit of rates."""
+    """Return the unit of torques, which is the least moment times the squared unit of rates."""
     return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * _squared_unit(points)
 
 
 def _fast_torque(points: Points) -> Array:
-    """Unit of torques, at least A n^2 and A m^2: near the vertical n and m may be much larger than w, in which they nearly cancel."""
+    """Return a unit of torques, at least A n^2 and A m^2. Near the vertical n and m may be large and nearly cancel in w."""
     return np.fmax(_torque(points), points["A"] * np.square(rates(points)[1:]).max(0))
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
-    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, 0 on a conical motion; n and cosine replace the values of the points."""
+    """Return (C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, which is 0 on a conical motion.
+
+    If given, `n` and `cosine` replace the values of the points.
+    """
     Mg, N = fields(points)
     _, own, m = rates(points)
     n, c = own if n is None else n, vertical(points)[2] if cosine is None else cosine
@@ -90,7 +93,7 @@ def precession(points: Points, n: Array | float | None = None, cosine: Array | f
 
 
 def permanent_torque(points: Points, n: Array | None = None) -> Array:
-    """((n^2 - N) I g + n l + Mg r_c) x g, zero on a permanent rotation about the vertical, shape (3, points)."""
+    """Return ((n^2 - N) I g + n l + Mg r_c) x g, (3, points), which is 0 on a permanent rotation about the vertical."""
     inertia, rotor, weight, N = bodies(points)
     gamma = vertical(points)
     n = rates(points)[1] if n is None else n
@@ -98,14 +101,14 @@ def permanent_torque(points: Points, n: Array | None = None) -> Array:
 
 
 def _upright(points: Points) -> Array:
-    """Transverse torque of rotor and weight on a body with its third axis on the vertical, (2, points)."""
+    """Return the transverse torque of rotor and weight on a body whose third axis is vertical, (2, points)."""
     _, rotor, weight, _ = bodies(points)
     state = initial_state(points)
     return state[2] * rotor[:2] + np.sign(state[5]) * weight[:2]
 
 
 def _turning_torque(points: Points) -> Array:
-    """Bound, for all phi, of the torque that tilts a resting third axis while the body turns about this axis; 0 if m = 0."""
+    """Return a bound, for all phi, of the torque that tilts a resting third axis about which the body turns; 0 if m = 0."""
     inertia, rotor, weight, N = bodies(points)
     _, _, m = rates(points)
     gradient = N * np.abs(inertia[0] - inertia[1])
@@ -117,14 +120,14 @@ def _turning_torque(points: Points) -> Array:
 
 
 def _possible_moment(balance: Callable[[Points], Array], name: str, points: Points) -> Array:
-    """Moment of inertia for which a torque vanishes, nan where no symmetric body has it."""
+    """Return the moment of inertia for which `balance` vanishes, or nan if no symmetric body has this moment."""
     x = linear(balance, name, keep=True)[name](points)
     body = {**points, name: x}
     return np.where((x > 0) & (body["C"] <= 2 * body["A"]), x, np.nan)
 
 
 def _solve_theta(points: Points, n: float | None = None) -> Array:
-    """theta0 in [0, pi] for which `precession` is 0; n replaces the rate of the points."""
+    """Return theta0 in [0, pi] for which `precession` is 0. If given, `n` replaces the rate of the points."""
     rate = rates(points)[1] if n is None else n
     offset = precession(points, rate, 0.0)
     slope = (points["C"] - points["A"]) * (rate**2 - fields(points)[1])
@@ -134,7 +137,7 @@ def _solve_theta(points: Points, n: float | None = None) -> Array:
 
 
 def _solve_n(points: Points) -> Array:
-    """Root n of `precession`, a quadratic, nearest to the given n: the slow one for 0, the fast one for infinity."""
+    """Return the root of `precession`, a quadratic in n, nearest to the given n. 0 gives the slow root, inf the fast one."""
     a = (points["C"] - points["A"]) * vertical(points)[2]
     b = points["C"] * rates(points)[2] + points["l3"]
     c = precession(points, n=0.0)
@@ -145,10 +148,10 @@ def _solve_n(points: Points) -> Array:
 
 
 def _solve_permanent(name: str, points: Points) -> Array:
-    """One parameter of a permanent rotation, nan where the components of the torque contradict each other.
+    """Return one parameter of a permanent rotation, or nan where the components of the torque contradict each other.
 
-    l1 or x0 follows from the second component alone, l2 or y0 from the first, so that both may be solved together: the third
-    component then vanishes too, unless cos theta0 = 0.
+    The second component alone gives l1 or x0, and the first gives l2 or y0, so that two parameters may be solved together.
+    The third component then vanishes too, unless cos theta0 = 0.
     """
     component = {"l1": 1, "x0": 1, "l2": 0, "y0": 0}.get(name)
     if component is not None:
@@ -158,13 +161,13 @@ def _solve_permanent(name: str, points: Points) -> Array:
 
 
 def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
-    """theta0 or phi0 of the permanent rotation whose vertical, in the body, is nearest to the vertical of the start.
+    """Return theta0 or phi0 of the permanent rotation whose vertical, in the body, is nearest to the vertical of the start.
 
-    phi0 prefers the rotations whose theta is theta0 already, so that both may be solved together; nan where there is none.
+    For phi0 only rotations with the given theta0 count, so that both angles may be solved together. nan: there is none.
     """
     gamma = vertical(points)
     n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-    from ..gyrostat import secular  # here: few scenes solve for the start of a permanent rotation
+    from ..gyrostat import secular  # imported here, because few scenes need it
 
     rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
     distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
@@ -176,7 +179,7 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
 
 
 def _solve_rest(angle: str, points: Points) -> Array:
-    """theta0 or phi0 of a resting third axis: a closed form if the body is symmetric about this axis, else the nearest solution."""
+    """Return theta0 or phi0 of a resting third axis. A closed form exists if the body is symmetric about this axis."""
     closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
     if angle == "theta0" and f"{NEAR}theta0" in points:  # a third axis on the vertical is at rest too
         poles = np.broadcast_to(np.array([0.0, np.pi]).reshape(2, *(1,) * closed.ndim), (2, *closed.shape))
@@ -187,7 +190,7 @@ def _solve_rest(angle: str, points: Points) -> Array:
 
 
 def third_axis(points: Points) -> TwoAxes:
-    """Motion about e3 at the rate m and about the vertical at the rate n."""
+    """Return the motion about e3 at the rate m and about the vertical at the rate n."""
     gamma = vertical(points)
     _, n, m = rates(points)
     return TwoAxes(principal(np.full(m.shape, 2)), m, gamma, n)
@@ -305,8 +308,8 @@ _REST = FAMILIES["rest"]
 _EXACTLY_NO_SPIN = Condition(
     "m = 0", lambda p: np.where(np.abs(_NO_SPIN.residual(p)) <= FAMILY_TOLERANCE, 0.0, np.inf)
 )
-# Order in which the families are tested. They overlap: motions of `rest` with m = 0 come before `staude`, the others after
-# `conical`.
+# Families in the order in which they are tested. They overlap. Motions of `rest` with m = 0 are tested before `staude`, and
+# other motions of `rest` after `conical`.
 ORDER = (
     FAMILIES["sleeping"],
     replace(_REST, conditions=(*_REST.conditions, _EXACTLY_NO_SPIN)),
@@ -317,5 +320,5 @@ ORDER = (
 
 
 def identify_family(points: Points) -> tuple[Flags, Array]:
-    """For each start, flag and residual of its family of motions about the third axis and the vertical."""
+    """Return flag and residual of the family of each start, among families about the third axis and the vertical."""
     return identify(points, ORDER)

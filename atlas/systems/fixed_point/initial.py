@@ -1,4 +1,4 @@
-"""Parameters of the gyrostat about a fixed point and its initial state from angles, rates or vectors."""
+"""Parameters of the gyrostat about a fixed point, and the initial state from angles, rates or vectors."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UN
 
 @shared
 def fields(points: Points) -> tuple[Array, Array]:
-    """Weight Mg and field gradient N, from M, lambda and R where these are given: (4), (5) of the paper."""
+    """Return weight Mg and field gradient N. Where M, lambda and R are given, they follow from (4), (5) of the paper."""
     given = ~np.isnan(points["M"])
     Mg = np.where(given, points["M"] * points["lambda"] / points["R"] ** 2, points["Mg"])
     N = np.where(given, 3 * points["lambda"] / points["R"] ** 3, points["N"])
@@ -65,7 +65,7 @@ def fields(points: Points) -> tuple[Array, Array]:
 
 @shared
 def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
-    """Inertia I, rotor l and moment of weight Mg r_c, each of shape (3, points), and N."""
+    """Return inertia I, rotor l and moment of weight Mg r_c, each of shape (3, points), and N."""
     Mg, N = fields(points)
     inertia = np.array([points["A"], points["B"], points["C"]])
     rotor = np.array([points["l1"], points["l2"], points["l3"]])
@@ -73,7 +73,7 @@ def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
 
 
 def body(points: Points) -> Body:
-    """The body in space: field gradient N and weight along the vertical."""
+    """Return the body in space, with the field gradient N and the weight along the vertical."""
     inertia, rotor, weight, N = bodies(points)
     zero = np.zeros_like(N)
     vertical = Direction(N, -np.moveaxis(weight, 0, -1))
@@ -82,25 +82,25 @@ def body(points: Points) -> Body:
 
 
 def constants(points: Points) -> Array:
-    """Constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
+    """Return the constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
     inertia, rotor, weight, N = bodies(points)
     return np.concatenate([inertia, 1 / inertia, rotor, weight, N * inertia, points["damping"][None]])
 
 
 @shared
 def vertical(points: Points) -> Array:
-    """gamma in body axes at the start, shape (3, points)."""
+    """Return gamma in body axes at the start, shape (3, points)."""
     angles = directions(points)[1]
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
     size = length(vector)
-    # A vector of length 1 to rounding is not normalised, which would only change its last bits.
+    # A vector whose length is 1 up to rounding is kept, because a division would only change the last bits.
     vector = np.where(np.abs(size - 1) > 4e-16, vector / size, vector)
     return np.where(np.isnan(points["gamma10"]), angles, vector)
 
 
 @shared
 def rates(points: Points) -> tuple[Array, Array, Array]:
-    """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; a start by vectors at a pole has n = 0 and m = r."""
+    """Return theta', n and m of w = n gamma + m e3 + theta' about the node. At a pole vectors give n = 0 and m = r."""
     gamma = vertical(points)
     p, q, r = points["p0"], points["q0"], points["r0"]
     sine = np.hypot(gamma[0], gamma[1])
@@ -118,7 +118,7 @@ def rates(points: Points) -> tuple[Array, Array, Array]:
 
 @shared
 def initial_state(points: Points) -> Array:
-    """State at t = 0, shape (6, points): p0, q0, r0 or w = n gamma + m e3 + theta_dot0 about the node."""
+    """Return the state at t = 0, (6, points). w is (p0, q0, r0) or n gamma + m e3 + theta_dot0 about the node."""
     gamma = vertical(points)
     w = angular_velocity(points, points["n"], gamma)
     vector = np.array([points["p0"], points["q0"], points["r0"]])
@@ -126,7 +126,7 @@ def initial_state(points: Points) -> Array:
 
 
 def as_euler_angles(points: Points) -> dict[str, Array]:
-    """The same starts with theta0 .. m in place of p0 .. gamma30; at or beside a pole theta' is hypot(p0, q0)."""
+    """Return the same starts with theta0 .. m in place of p0 .. gamma30. At a pole theta_dot0 is hypot(p0, q0)."""
     given = ~np.isnan(points["p0"])
     if not given.any():
         return dict(points)
@@ -136,7 +136,7 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
     turning = (sine <= FAMILY_TOLERANCE) & (theta_dot > 0)
     euler = {
         "theta0": np.arctan2(sine, gamma[2]),
-        # At a pole there is no node, and near it rounding decides; this phi0 puts the node along (p0, q0).
+        # At a pole there is no node, and near a pole rounding decides. This phi0 puts the node along (p0, q0).
         "phi0": np.where(turning, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
         "theta_dot0": theta_dot,
         "n": n,
@@ -147,7 +147,7 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
 
 
 def check(points: Points) -> None:
-    """Raise BadInput for starts or fields that are given incompletely or twice."""
+    """Raise BadInput if starts or fields are given incompletely or twice."""
     for names, what, alternatives in (
         (("M", "lambda", "R"), "M, lambda and R", ("Mg", "N")),
         (VECTORS, "p0 .. gamma30", ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")),
@@ -170,17 +170,17 @@ def check(points: Points) -> None:
 
 
 def possible_start(points: Points) -> Mask:
-    """Where the vertical of a start by p0 .. gamma30 is a unit vector; true where angles give the start."""
+    """Return where gamma10 .. gamma30 form a unit vector. The result is true where angles give the start."""
     with np.errstate(over="ignore", invalid="ignore"):
         squares = points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2
         return np.isnan(points["gamma10"]) | (np.abs(np.sqrt(squares) - 1) <= UNIT_LENGTH)
 
 
 def warnings(points: Points) -> list[str]:
-    """One sentence for each moment of inertia below M times the squared offset: the equations allow it, no body has it."""
+    """Return a sentence for each moment of inertia below M times the squared offset. No body has such a moment."""
     messages = []
     for moment, a, b in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
-        with np.errstate(over="ignore", invalid="ignore"):  # huge offsets, or no mass
+        with np.errstate(over="ignore", invalid="ignore"):  # offsets may be huge, and M may be nan
             least = points["M"] * (points[a] ** 2 + points[b] ** 2)
         bad = np.flatnonzero(points[moment] < least * (1 - 1e-12))
         if bad.size:
@@ -193,23 +193,23 @@ def warnings(points: Points) -> list[str]:
 
 
 def symmetric(points: Points) -> Mask:
-    """Where Lagrange's integral holds: A = B, no transverse rotor, centre of mass on the third axis."""
+    """Return where A = B, no rotor is transverse, and the centre of mass is on the third axis."""
     inertia, rotor, weight, _ = bodies(points)
     return (inertia[0] == inertia[1]) & (rotor[:2] == 0).all(0) & (weight[:2] == 0).all(0)
 
 
 def conserves_axial_momentum(points: Points) -> Mask:
-    """Where C r + l3 is conserved."""
+    """Return where Lagrange's integral C r + l3 is conserved."""
     return symmetric(points) & (points["damping"] == 0)
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Lower bound of the scale of each integral, nan where it is not constant; see System.integral_scales."""
+    """Return a lower bound of the scale of each integral, or nan, as System.integral_scales."""
     inertia, rotor, weight, N = bodies(points)
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
     largest = inertia.max(0)
-    # Largest change of the kinetic energy by the fields; terms of the energy that are 0 at the start may grow to this size.
+    # The fields change the kinetic energy by this much at most. Terms of the energy that start at 0 may grow to this size.
     potential = length(weight) + 0.5 * np.abs(N) * (largest - inertia.min(0))
     momentum = length(inertia * w) + np.sqrt(2 * largest * potential)
     no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
@@ -230,7 +230,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 @shared
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency, as Body.frequency_bound, with constant r where C r + l3 is conserved."""
+    """Return Body.frequency_bound, but with constant r where C r + l3 is conserved."""
     inertia, rotor, weight, N = bodies(points)
     A, B, C = inertia
     state = initial_state(points)
@@ -238,7 +238,7 @@ def frequency_bound(points: Points) -> Array:
     fixed, damping = conserves_axial_momentum(points), points["damping"]
     moment = length(weight)
 
-    # 2 T, or its part in p and q, grows by at most `gain`, twice the sum over the terms of U of start value minus minimum.
+    # Twice the kinetic energy grows by at most `gain`, which adds 2 (start value - minimum) of each term of the potential.
     quadratic = (inertia * gamma**2).sum(0)
     gradient = np.where(N > 0, quadratic - inertia.min(0), inertia.max(0) - quadratic)
     gain = 2 * (moment - (weight * gamma).sum(0)) + np.abs(N) * gradient
@@ -250,7 +250,7 @@ def frequency_bound(points: Points) -> Array:
     min_inertia = np.where(fixed, A, inertia.min(0))
     max_turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / min_inertia))
 
-    # Where C r + l3 is conserved, r and its perturbation are constant and the coefficient is exact.
+    # Where C r + l3 is conserved, r and the perturbation of r are constant, and `own` is exact.
     own = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, gyration(inertia, rotor, max_rates))
     differences = np.array([C - B, A - C, B - A])
     newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / min_inertia))
@@ -259,5 +259,5 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that are 0 without damping; leaving out any other term saves at most 5 % of the time."""
+    """Return the constants that are 0 without damping. No other term costs more than 5 % of the time."""
     return {"damping"} & zero, set()

@@ -12,7 +12,7 @@ from . import any_axis, equations, families, initial
 
 
 class FixedPoint(Gyrostat):
-    """Heavy gyrostat about a fixed point, attracted by a distant centre."""
+    """Heavy gyrostat about a fixed point, which a distant centre attracts."""
 
     name = "fixed_point"
     title = "gyrostat about a fixed point in a central Newtonian field"
@@ -80,12 +80,12 @@ class FixedPoint(Gyrostat):
     )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Flag and residual of a family about the third axis and the vertical, else about other axes."""
+        """Return flag and residual of a family about the third axis and the vertical, or else about other axes."""
         return identify(points, families.ORDER, other_families(self))
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:
-        """Flags of families about the third axis and the vertical."""
+        """Return the flags of families about the third axis and the vertical."""
         return families.identify_family(points)[0]
 
 

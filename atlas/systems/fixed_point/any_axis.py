@@ -59,7 +59,7 @@ _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
 class Start(motions.Start):
-    """Start of a body about a fixed point. The unit of residuals contains the least moment of the body."""
+    """Start of a body about a fixed point. Residuals are in units of the body's least moment."""
 
     def __init__(self, points: Points):
         self.inertia, self.rotor, self.weight, self.N = bodies(points)

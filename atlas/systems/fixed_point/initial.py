@@ -230,7 +230,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 @shared
 def frequency_bound(points: Points) -> Array:
-    """Return Body.frequency_bound, but with constant r where C r + l3 is conserved."""
+    """Return an upper bound of the fastest frequency. It uses a constant r where C r + l3 is conserved."""
     inertia, rotor, weight, N = bodies(points)
     A, B, C = inertia
     state = initial_state(points)

@@ -1,8 +1,8 @@
-"""A gyrostat in a frame that turns uniformly: its amended potential and its linear equations.
+"""A gyrostat in a frame that turns uniformly, with an amended potential and linear equations.
 
-The frame turns at the rate Omega about its vertical gamma; alpha is a second direction at rest in the frame, normal to gamma,
-and beta = gamma x alpha a third one, without a gradient. Each direction d gives the potential (gradient d.I d) / 2 + field.d.
-Vectors, also fields, are in body axes, of shape (..., 3).
+The frame turns at the rate Omega about the vertical gamma. The directions alpha, normal to gamma, and beta = gamma x alpha are
+also at rest in the frame. A direction d has the potential (gradient d.I d) / 2 + field.d, where the gradient of beta is 0.
+Vectors, including fields, are in body axes and have the shape (..., 3).
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ from numpy.typing import NDArray
 
 from ..base import Array, Mask
 
-# Moments, momenta and torques below this fraction of their scale are rounding; all growth rates that count are above its root.
+# Moments, momenta and torques below this fraction of the scale are rounding errors. Only growth rates above the square root
+# of this fraction count.
 NEGLIGIBLE = 1e-13
-# Fraction of the rate of the free body below which rates of frame and fields are ignored in the natural rate.
+# The natural rate ignores rates of frame and fields that are below this fraction of the rate of the free body.
 SLOW = 1e-4
-_DOUBLE = 8 * np.finfo(float).eps  # largest relative discriminant with which two roots count as equal
+_DOUBLE = 8 * np.finfo(float).eps  # two roots count as equal up to this relative discriminant
 
 
 class Direction(NamedTuple):
-    """Potential (gradient d.I d) / 2 + field.d of a direction d at rest in the frame."""
+    """The potential (gradient d.I d) / 2 + field.d of a direction d that is at rest in the frame."""
 
     gradient: Array  # squared rate, (...,)
     field: Array  # torque, (..., 3)
 
 
 class Body(NamedTuple):
-    """A gyrostat, the frame in which it moves, and the potentials and damping that act on it."""
+    """A gyrostat with the frame in which it moves and with the potentials and damping that act on it."""
 
     inertia: Array  # (..., 3)
     rotor: Array  # (..., 3)
@@ -40,7 +41,7 @@ class Body(NamedTuple):
     damping: Array  # torque divided by angular velocity relative to the frame, (...,)
 
     def subset(self, where: Any) -> Body:
-        """Some of the bodies."""
+        """Return the bodies that the indices or the mask `where` select."""
         each = (self.alpha, self.beta, self.gamma)
         alpha, beta, gamma = (Direction(*(x[where] for x in d)) for d in each)
         inertia, rotor, turn, damping = (
@@ -49,7 +50,7 @@ class Body(NamedTuple):
         return Body(inertia, rotor, turn, alpha, beta, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
-        """The bodies in units of their largest moments of inertia and of `rate`."""
+        """Return the bodies in units of `rate` and of the largest moment of inertia of each."""
         moment = self.inertia.max(-1)
         torque = (moment * rate**2)[..., None]
         each = (self.alpha, self.beta, self.gamma)
@@ -61,7 +62,7 @@ class Body(NamedTuple):
         )  # fmt: skip
 
     def rate(self, w: Array) -> Array:
-        """Unit of rates for a motion with the angular velocity w: a sum of all rates, or 1 where this sum is 0."""
+        """Return the unit of rates for a motion with the angular velocity `w`: the sum of all rates, or 1 if it is 0."""
         squares = [
             np.abs(d.gradient) + length(d.field) / self.inertia.max(-1)
             for d in (self.alpha, self.gamma, self.beta)
@@ -72,7 +73,10 @@ class Body(NamedTuple):
         return np.where(rate == 0, 1.0, rate)
 
     def natural_rate(self, w: Array) -> Array:
-        """|Omega|, or the fields' frequency if Omega = 0; the free body's rate if more than 1 / SLOW times larger; 1 if all are 0."""
+        """Return |Omega|, or the frequency of the fields where Omega = 0.
+
+        The result is the rate of the free body where this is more than 1 / SLOW times larger, and 1 where all rates are 0.
+        """
         moment = self.inertia.max(-1)
         squares = sum(
             length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
@@ -83,21 +87,21 @@ class Body(NamedTuple):
         return np.select([np.isfinite(rate) & (rate > SLOW * free) for rate in rates], rates, 1.0)
 
     def spherical(self) -> Mask:
-        """Where all moments are equal up to rounding."""
+        """Return where all moments are equal up to rounding."""
         return np.ptp(self.inertia, axis=-1) <= NEGLIGIBLE * self.inertia.max(-1)
 
     def acts_along(self, direction: Direction) -> Mask:
-        """Where a direction exerts a torque on the body in some orientation."""
+        """Return where `direction` exerts a torque on the body in some orientation."""
         return ((direction.gradient != 0) & ~self.spherical()) | (direction.field != 0).any(-1)
 
     def acts_across(self) -> Mask:
-        """Where alpha or beta exerts a torque on the body in some orientation."""
+        """Return where alpha or beta exerts a torque on the body in some orientation."""
         return self.acts_along(self.alpha) | self.acts_along(self.beta)
 
     def symmetric_about(self, i: int, rate: Array | float = 0.0) -> Mask:
-        """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it.
+        """Return where the i-th axis is an axis of symmetry of the moments, and rotor and fields are along this axis.
 
-        rate: unit of rates; where it is above 0, differences from symmetry that may be rounding errors are ignored.
+        Where `rate`, the unit of rates, is above 0, differences from symmetry that may be rounding errors are ignored.
         """
         j, k = (i + 1) % 3, (i + 2) % 3
         limit = np.where(rate > 0, NEGLIGIBLE, 0.0) * self.inertia.max(-1)
@@ -113,12 +117,12 @@ class Body(NamedTuple):
         return symmetric
 
     def amended(self) -> tuple[Direction, Direction]:
-        """Directions alpha and gamma of the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
+        """Return alpha and gamma of the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
         field = self.gamma.field - self.turn[..., None] * self.rotor
         return self.alpha, Direction(self.gamma.gradient - self.turn**2, field)
 
     def potential(self, alpha: Array, gamma: Array) -> Array:
-        """Amended potential W."""
+        """Return the amended potential W."""
         parts = (
             0.5 * d.gradient[..., None] * self.inertia * v**2 + d.field * v
             for d, v in self._along(self.amended(), alpha, gamma)
@@ -126,11 +130,11 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Gradient of W under rotations, which is -1 times the torque at rest, and Hessian, symmetric where this torque is 0."""
+        """Return the gradient of W under rotations, which is minus the torque at rest, and the Hessian of W."""
         return self._variations(self.amended(), alpha, gamma)
 
     def hessian(self, alpha: Array, gamma: Array) -> Array:
-        """Symmetric part of the Hessian of W."""
+        """Return the symmetric part of the Hessian of W."""
         result = np.zeros((*np.broadcast_shapes(alpha.shape, self.inertia.shape), 3))
         for d, v in self._along(self.amended(), alpha, gamma):
             moments = np.moveaxis(d.gradient[..., None] * self.inertia, -1, 0)
@@ -144,21 +148,21 @@ class Body(NamedTuple):
         return result
 
     def steepness(self) -> Array:
-        """Bound of the second derivatives of W under rotations, (...,)."""
+        """Return a bound of the second derivatives of W under rotations, (...,)."""
         spread = np.ptp(self.inertia, axis=-1)
         return sum(np.abs(d.gradient) * spread + length(d.field) for d in (*self.amended(), self.beta))
 
     def _along(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> list[tuple[Direction, Array]]:
-        """Pairs (direction, vector): the two directions with alpha and gamma, and beta if it has a field."""
+        """Return pairs of a direction and a vector for alpha and gamma, and for beta if beta has a field."""
         pairs = list(zip(directions, (alpha, gamma), strict=True))
         return pairs + [(self.beta, np.cross(gamma, alpha))] * bool(self.beta.field.any())
 
     def _variations(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> tuple[Array, Array]:
-        """Gradient and Hessian, under rotations of the body, of the potential of `directions` and beta."""
+        """Return gradient and Hessian, under rotations of the body, of the potential of `directions` and beta."""
         gradient, hessian = np.zeros(1), np.zeros(1)
         for d, v in self._along(directions, alpha, gamma):
             slope = d.gradient[..., None] * self.inertia * v + d.field
@@ -169,11 +173,11 @@ class Body(NamedTuple):
         return gradient, hessian
 
     def frequency_bound(self, w: Array, alpha: Array, gamma: Array) -> Array:
-        """Upper bound of the fastest frequency of the motion with this start, rad per time unit, (...,).
+        """Return an upper bound of the fastest frequency of the motion with this start, rad per time unit, (...,).
 
-        The energy u.I u / 2 + W of the rotation u relative to the frame never grows, and bounds u through the range of W, the sum
-        of the ranges of its terms. With every |w_i| bounded, the frozen linearised equations in the coordinates sqrt(I) w
-        are bounded block by block, and the Perron root of the 2 x 2 matrix of the block norms bounds their frequencies.
+        The energy u.I u / 2 + W, where u is the rotation relative to the frame, never grows. The ranges of the terms of W
+        therefore bound u and every |w_i|. These bound the norms of the blocks of the frozen linearised equations in the
+        coordinates sqrt(I) w. The Perron root of the 2 x 2 matrix of the norms bounds the frequencies.
         """
         inertia, turn, least = self.inertia.T, np.abs(self.turn), self.inertia.min(-1)
         energy = (self.inertia * (w - self.turn[..., None] * gamma) ** 2).sum(-1)
@@ -194,18 +198,18 @@ class Body(NamedTuple):
         )
 
     def turns_steadily(self, w: Array, alpha: Array, gamma: Array) -> Mask:
-        """Where the rotation relative to the frame is constant in the body."""
+        """Return where the rotation relative to the frame is constant in the body."""
         torque = np.cross(self.inertia * w + self.rotor, w)
         torque = torque - self._variations((self.alpha, self.gamma), alpha, gamma)[0]
         excess = torque / self.inertia - self.turn[..., None] * np.cross(gamma, w)
         return length(excess) <= 1e-8 * self.rate(w) ** 2 * self.inertia.max(-1) / self.inertia.min(-1)
 
     def gyroscopic(self, w: Array) -> Array:
-        """The vector v = k + 2 I w - tr(I) w; D = hat(v) is the matrix of the rates in the linear system."""
+        """Return v = k + 2 I w - tr(I) w. In the linear system D = hat(v) is the matrix of the rates."""
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
-        """Matrix (..., 4, 4) of the linear system in the parts of xi and p~ across a constant rotation u; see `floquet`."""
+        """Return the matrix (..., 4, 4) of the linear system of `floquet` in the parts of xi and p~ across `u`."""
         inertia, W = self.inertia[..., None], cross_matrix(w)
         acceleration = self.turn[..., None] * np.cross(gamma, u)
         E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
@@ -222,7 +226,7 @@ class Body(NamedTuple):
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
-        # xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~, along the rows.
+        # The system is xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~ in the axes `rows`.
         G = 0.5 * cross_matrix(v) - shift
         transposed = np.swapaxes(rows, -1, -2)
         left = G / self.inertia[..., None]
@@ -236,9 +240,9 @@ class Body(NamedTuple):
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, as sqrt(norm_1 norm_inf).
+    """Return sqrt(norm_1 norm_inf) of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, which bounds the norm.
 
-    third_alone: where w is along e3.
+    The mask `third_alone` is true where w is along e3.
     """
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
@@ -251,12 +255,12 @@ def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask |
 
 
 def perron_root(first: Array, second: Array, product: Array) -> Array:
-    """Largest eigenvalue of positive 2 x 2 matrices with diagonal (first, second) and product of the other entries."""
+    """Return the largest eigenvalue of 2 x 2 matrices with the diagonal (first, second). `product` is of the other entries."""
     return 0.5 * (first + second) + np.sqrt((0.5 * (first - second)) ** 2 + product)
 
 
 def quadratic_roots(P: Array, Q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Roots of x^2 + P x + Q = 0; the larger one is computed without cancellation, the other one is Q divided by it."""
+    """Return the roots of x^2 + P x + Q = 0. The larger root avoids cancellation, and Q over it is the other root."""
     square = 0.25 * P**2
     square = np.where(np.abs(square - Q) <= _DOUBLE * square, 0.0, square - Q)
     root = np.sqrt(square + 0j)
@@ -265,19 +269,19 @@ def quadratic_roots(P: Array, Q: Array) -> tuple[NDArray[np.complex128], NDArray
 
 
 def length(v: Array) -> Array:
-    """Euclidean length of vectors (..., 3)."""
+    """Return the Euclidean length of vectors (..., 3)."""
     return np.sqrt((v**2).sum(-1))
 
 
 def transverse_axes(v: Array) -> Array:
-    """Two unit vectors, rows of (..., 2, 3), that complete unit vectors (..., 3) to right-handed axes."""
+    """Return two unit vectors, rows of (..., 2, 3), that complete unit vectors `v` (..., 3) to right-handed axes."""
     first = np.cross(v, np.eye(3)[np.abs(v).argmin(-1)])
     first = first / length(first)[..., None]
     return np.stack([first, np.cross(v, first)], -2)
 
 
 def cross_matrix(v: Array) -> Array:
-    """Matrices of v x ., shape (..., 3, 3)."""
+    """Return the matrices of v x ., shape (..., 3, 3)."""
     zero = np.zeros_like(v[..., 0])
     rows = ((zero, -v[..., 2], v[..., 1]), (v[..., 2], zero, -v[..., 0]), (-v[..., 1], v[..., 0], zero))
     return np.stack([np.stack(row, -1) for row in rows], -2)

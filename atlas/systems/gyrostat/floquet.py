@@ -1,22 +1,22 @@
 """Floquet multipliers of steady motions that are periodic in the body, for many points at once.
 
-A steady motion turns the body relative to the frame with a constant u = w - Omega gamma in body axes, so alpha, gamma
-and w turn about u. A small rotation xi of the body (body axes; delta alpha = alpha x xi, delta gamma = gamma x xi) obeys
-delta w = xi' + w x xi, and with the Euler-Poisson equations
+A steady motion turns the body relative to the frame with a constant u = w - Omega gamma in body axes, so that alpha, gamma and
+w turn about u. A small rotation xi of the body in body axes has delta alpha = alpha x xi, delta gamma = gamma x xi and
+delta w = xi' + w x xi. The Euler-Poisson equations then give
 
     I xi'' = D xi' + E xi,    D = hat(k + 2 I w - tr(I) w),    E = P + D'/2,    P symmetric,
     E = hat(I w + k) hat(w) - hat(w) I hat(w) - I hat(w') - the Hessian of the potential,
 
-which are Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In (xi, p), p = I xi' - D xi / 2, this is a linear
-Hamiltonian system, of period 2 pi / |u|. Exponents come in pairs +-lambda.
+These are Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In the variables xi and p = I xi' - D xi / 2 they are a
+linear Hamiltonian system of period 2 pi / |u|. Exponents come in pairs +-lambda.
 
-One pair is 0: xi = u is a solution (a shift in time), and the Jacobi integral is constant. With e = u / |u|, d = D e / 2 and
-the symmetric S = d e^T + e d^T, the canonical p~ = p + S xi vanishes on that solution and keeps e.p~ constant, so the
-parts of xi and p~ across e form a Hamiltonian system of their own,
+One pair is 0, because xi = u is a solution (a shift in time) and the Jacobi integral is constant. Let e = u / |u|, d = D e / 2
+and S = d e^T + e d^T, which is symmetric. The canonical p~ = p + S xi is 0 for xi = u, and e.p~ is constant. The parts of xi
+and p~ across e therefore form another Hamiltonian system,
 
     xi' = I^-1 (G xi + p~),    p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~,    G = D/2 - S,    e.p~ = 0,
 
-with the other two pairs of exponents. `tests/systems/test_satellite_stability.py` compares it with the equations of motion.
+which has the other two pairs of exponents. `tests/systems/test_satellite_stability.py` compares both with the motion.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from ..base import Array, Flags
 from .body import Body, length, quadratic_roots
 from .fundamental import of_harmonics
 
-# Largest error, by rounding and integration, of |s| - 2 and (s1 - s2)^2 / 4, s = multiplier + 1/multiplier; where multipliers
+# Largest error, by rounding and integration, of |s| - 2 and (s1 - s2)^2 / 4, where s = multiplier + 1/multiplier. If multipliers
 # collide at +-1, a shift of s by 1e-7 appears as growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
-_STEP = 1.4  # largest product of step and norm of the system, with errors of about 1e-7
-_MIN_STEPS, _MAX_STEPS = 64, 8192  # steps of a period or run; longer periods have the adiabatic approximation
+_STEP = 1.4  # largest product of step and norm of the system, which gives errors of about 1e-7
+_MIN_STEPS, _MAX_STEPS = 64, 8192  # limits of steps in a period; beyond, motions are adiabatic
 _ADIABATIC_PHASES = 256
-# Logarithm of the growth over a period above which the adiabatic value, wrong by a few units, means instability.
+# The adiabatic logarithm of the growth over a period is wrong by a few units. Above this value it means instability.
 _ADIABATIC_GROWTH = 10.0
-# Distance of frozen exponents from a collision, divided by the rate of rotation, above which nothing grows.
+# Nothing grows if the distance of frozen exponents from a collision exceeds this multiple of the rate of rotation.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # steps per unit of norm x period on closed forms; errors of the trace are below 1e-7
+_STEPS_PER_NORM = 2  # steps of a closed form per unit of norm x period; errors of the trace are below 1e-7
 _MIN_STEPS_CLOSED = 32
 
 
 def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, Array]:
-    """Stability and growth rate over the period of the rotation, (points,); w, alpha, gamma (points, 3).
+    """Return stability and growth rate over the period of the rotation, (points,), for vectors of shape (points, 3).
 
-    Stable where all multipliers are simple and on the unit circle; unknown within numerical errors, with growth rate 0 where
-    multipliers collide. Periods too long to be integrated have the adiabatic growth rate.
+    A motion is stable if all multipliers are simple and on the unit circle. Within numerical errors the stability is unknown, and
+    the growth rate is 0 if multipliers collide. Periods too long to be integrated have the adiabatic growth rate.
     """
     rotation = _Rotation(body, w, alpha, gamma)
     stable, exponent = rotation.by_multipliers()
@@ -62,20 +62,20 @@ def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, 
 
 
 def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array) -> Array:
-    """Logarithm of the growth from the start to the end of runs, (points,); nan where too many steps are needed."""
+    """Return the logarithm of the growth over runs, (points,), or nan where too many steps are needed."""
     rotation = _Rotation(body, w, alpha, gamma, duration)
     return rotation.over_spans(np.full(duration.shape, np.nan), lambda _, log_scale: log_scale)
 
 
 class _Periodic:
-    """Periodic linear systems from a mean and two harmonics; steps: number of steps in each span, infinite: not integrated."""
+    """Periodic linear systems, given by a mean and two harmonics. Spans with infinite `steps` are not integrated."""
 
     def __init__(self, harmonics: NDArray[np.complex128], period: Array, span: Array, steps: Array):
         self.harmonics, self.period, self.span = harmonics, period, span
         self.steps = 2.0 ** np.ceil(np.log2(steps))
 
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """`result` with values of `of`, a function of the fundamental matrices over the spans, at the points that are integrated."""
+        """Return `result` with values of `of`, a function of fundamental matrices, at the points that are integrated."""
         for count in np.unique(self.steps[np.isfinite(self.steps)]):
             members = np.flatnonzero(self.steps == count)
             part = self.harmonics[:, members], self.period[members], self.span[members]
@@ -83,9 +83,9 @@ class _Periodic:
         return result
 
     def by_multipliers(self, ones: int = 0) -> tuple[Flags, Array]:
-        """Stability, and the logarithm of the largest multiplier over the period; nan where the system is not integrated.
+        """Return stability and the logarithm of the largest multiplier, or nan where the system is not integrated.
 
-        ones: number of multipliers that are always 1.
+        The number of multipliers that are always 1 is `ones`.
         """
         values = np.full((2, *self.period.shape), np.nan)
         self.over_spans(values, lambda matrix, log_scale: np.array(_multipliers(matrix, log_scale, ones)))
@@ -93,7 +93,7 @@ class _Periodic:
 
 
 class _Rotation(_Periodic):
-    """Linearised equations of steadily turning bodies."""
+    """Linearised equations of bodies that turn steadily."""
 
     def __init__(self, body: Body, w: Array, alpha: Array, gamma: Array, duration: Array | None = None):
         self.rate = np.abs(body.turn) + length(w)
@@ -110,7 +110,7 @@ class _Rotation(_Periodic):
         matrices = body.across_rotation(u + body.turn[:, None] * gamma, u, alpha, gamma)
         harmonics, period = np.fft.rfft(matrices, axis=0) / 5, 2 * np.pi / size
         span = period if duration is None else duration * self.rate
-        # Norm of the system, root mean square over the period, in those units of xi and p in which it is least.
+        # Root mean square of the system's norm over the period, in the units of xi and p in which this norm is least.
         square = (np.abs(harmonics) ** 2 * np.array([1, 2, 2])[:, None, None, None]).sum(0)
         square = square.reshape(-1, 2, 2, 2, 2).sum((2, 4))
         product = np.sqrt(square[:, 0, 1] * square[:, 1, 0])
@@ -119,10 +119,10 @@ class _Rotation(_Periodic):
         self.steps[self.steps > _MAX_STEPS] = np.inf
 
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
-        """Logarithm of the growth over a period much longer than the oscillations; nan where the growth is uncertain.
+        """Return the logarithm of the growth over a period much longer than the oscillations, or nan where it is uncertain.
 
-        It is the integral of the largest real part of the frozen exponents, roots of lambda^4 + P lambda^2 + Q = 0. Where all
-        are imaginary and far from a collision, the actions of both oscillations are adiabatic invariants and nothing grows.
+        It is the integral of the largest real part of the frozen exponents, the roots of lambda^4 + P lambda^2 + Q = 0. Where
+        all roots are imaginary and far from a collision, the actions are adiabatic invariants and nothing grows.
         """
         period, harmonics = self.period[members], self.harmonics[:, members]
         total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)
@@ -140,16 +140,16 @@ class _Rotation(_Periodic):
 
 
 def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128]) -> Array:
-    """Matrices of a mean and two harmonics at phase factors exp(i angle), (..., points)."""
+    """Return the matrices of a mean and two harmonics at phase factors exp(i angle), (..., points)."""
     mean, first, second = harmonics
     phase = phase[..., None, None]
     return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)
 
 
 def _multipliers(monodromy: Array, log_scale: Array, ones: int) -> tuple[Flags, Array]:
-    """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale).
+    """Return stability and the logarithm of the largest multiplier of the matrices monodromy * exp(log_scale).
 
-    ones: number of multipliers equal to 1; the others are one or two reciprocal pairs.
+    The number of multipliers equal to 1 is `ones`. The others form one or two reciprocal pairs.
     """
     # Traces are accurate for multipliers on the unit circle, but lose small multipliers beside large ones.
     moderate = log_scale < 16
@@ -177,23 +177,22 @@ def _multipliers(monodromy: Array, log_scale: Array, ones: int) -> tuple[Flags, 
 def growth_of_periodic_motion(
     matrix: Callable[[np.ndarray, Array], Array], period: Array
 ) -> tuple[Flags, Array]:
-    """Stability, and the growth rate log |mu| / period, of periodic motions of a reduced system of two degrees of freedom.
+    """Return stability and the growth rate log |mu| / period of periodic motions with two reduced degrees of freedom.
 
-    The linear system of six equations has four multipliers 1: a shift in time, the energy and two integrals that are
-    linear or quadratic in the state, such as the area integral and the length of the vertical. The last two are
-    mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; it is accurate where eigenvalues are not,
-    because the eigenvalue 1 is defective. Stable where mu is on the unit circle and not real.
+    The linear system of six equations has four multipliers 1, which belong to a shift in time, the energy and two integrals
+    such as the area integral and the length of the vertical. These are linear or quadratic in the state. The other multipliers
+    are mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu. The eigenvalue 1 is defective. The trace is
+    therefore accurate where eigenvalues are not. A motion is stable if mu is on the unit circle and not real.
 
-    matrix: (indices of points, times (samples, points)) -> matrices (samples, points, 6, 6) of the linear system in three rates
-    and the vertical, with harmonics up to the second. period: time units; where it is nan the stability is unknown and the growth
-    rate nan.
+    The function `matrix` of indices of points and times (samples, points) returns matrices (samples, points, 6, 6) of the linear
+    system in three rates and the vertical, with harmonics up to the second. Where `period` is nan, the stability is unknown.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))
     if not where.size:
         return stable, growth
     samples = matrix(where, period[where] * np.arange(5)[:, None] / 5)
-    # A unit of time that balances the two off-diagonal blocks, rounded to a power of 2, which changes no bits.
+    # This unit of time balances the two off-diagonal blocks. It is rounded to a power of 2, so that no bits change.
     square = (samples**2).reshape(5, -1, 2, 3, 2, 3).sum((0, 3, 5))
     rates, vertical = square[:, 0, 1], square[:, 1, 0]
     quotient = np.divide(rates, vertical, out=np.ones_like(rates), where=rates * vertical > 0)

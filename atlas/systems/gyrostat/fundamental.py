@@ -1,7 +1,7 @@
-"""Fundamental matrices of linear systems for many points side by side, from a mean and two harmonics or matrices at nodes.
+"""Integrate fundamental matrices of linear systems for many points side by side.
 
-Magnus' series of order 6, symplectic where the system is Hamiltonian. The exponential is a Pade approximation, squared twice:
-the multipliers of a stable motion stay on the unit circle. S. Blanes et al., Phys. Rep. 470 (2009) 151.
+Magnus' series of order 6 is symplectic where the system is Hamiltonian. The exponential is a Pade approximation that is squared
+twice. The multipliers of a stable motion thus stay on the unit circle. S. Blanes et al., Phys. Rep. 470 (2009) 151.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 
 from ..base import Array
 
-# Largest number of points that vector instructions integrate side by side; fewer points are padded to a multiple of GROUP.
+# Vector instructions integrate at most LANES points side by side. Fewer points are padded to a multiple of GROUP.
 LANES, GROUP = 64, 8
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
-RESCALING = 16  # steps after which matrices are rescaled, to avoid overflow, and phases are recomputed
-STEPS = 4096  # largest number of steps in a call (some tenths of a second); a multiple of RESCALING
+RESCALING = 16  # number of steps after which matrices are rescaled and phases are recomputed
+STEPS = 4096  # largest number of steps in a call, some tenths of a second; a multiple of RESCALING
 
 
 def of_harmonics(
     harmonics: NDArray[np.complex128], period: Array, span: Array, count: int
 ) -> tuple[Array, Array]:
-    """Fundamental matrices over spans (points,), scaled to largest entry 1, and logarithms of the scale factors.
+    """Return fundamental matrices over spans (points,), scaled to largest entry 1, and logarithms of the scale factors.
 
-    harmonics: mean and two harmonics over the period, (3, points, size, size), from `np.fft.rfft` divided by the number of
-    samples; the size is even. count: number of equal steps.
+    The array `harmonics`, (3, points, size, size), contains the mean and two harmonics over the period, from `np.fft.rfft`
+    divided by the number of samples. The size is even. A span has `count` equal steps.
     """
     points, size = harmonics.shape[1:3]
     mean, first, second = harmonics
@@ -47,9 +47,9 @@ def of_harmonics(
 
 
 def of_steps(matrices: Array) -> tuple[Array, Array]:
-    """Fundamental matrices of at most LANES points, scaled to largest entries from 1 to 2, and logarithms of the factors.
+    """Return fundamental matrices of at most LANES points, scaled to largest entries of 1 to 2, and logarithms of the factors.
 
-    matrices: the system's matrices at the three Gauss nodes of each step, times the step, (steps, 3, size, size, points).
+    The array `matrices`, (steps, 3, size, size, points), contains the system's matrices at the Gauss nodes, times the step.
     """
     steps, _, size, _, points = matrices.shape
     result, log_scale = np.tile(np.eye(size), (points, 1, 1)), np.zeros(points)
@@ -59,8 +59,8 @@ def of_steps(matrices: Array) -> tuple[Array, Array]:
 
 @cache
 def _compile() -> Any:
-    """The function `integrate` in machine code."""
-    from ...kernel import machine_code  # here: commands that only read systems need no compiler
+    """Return the function `integrate` in machine code."""
+    from ...kernel import machine_code  # here, as commands that only read systems need no compiler
 
     numbers = {"GROUP": repr(GROUP), "GAUSS": repr(GAUSS), "RESCALING": repr(RESCALING)}
     functions = {each.__name__: inspect.getsource(each) for each in _FUNCTIONS}

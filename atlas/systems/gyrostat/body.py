@@ -255,7 +255,7 @@ def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask |
 
 
 def perron_root(first: Array, second: Array, product: Array) -> Array:
-    """Return the largest eigenvalue of 2 x 2 matrices with the diagonal (first, second). `product` is of the other entries."""
+    """Return the larger eigenvalue of 2 x 2 matrices with diagonal (first, second) whose other entries multiply to `product`."""
     return 0.5 * (first + second) + np.sqrt((0.5 * (first - second)) ** 2 + product)
 
 

@@ -35,7 +35,7 @@ from .fundamental import of_harmonics
 # collide at +-1, a shift of s by 1e-7 appears as growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
 _STEP = 1.4  # largest product of step and norm of the system, which gives errors of about 1e-7
-_MIN_STEPS, _MAX_STEPS = 64, 8192  # limits of steps in a period; beyond, motions are adiabatic
+_MIN_STEPS, _MAX_STEPS = 64, 8192  # limits of the steps in a period; longer periods are treated as adiabatic
 _ADIABATIC_PHASES = 256
 # The adiabatic logarithm of the growth over a period is wrong by a few units. Above this value it means instability.
 _ADIABATIC_GROWTH = 10.0

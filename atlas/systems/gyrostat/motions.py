@@ -1,4 +1,4 @@
-"""Families of steady motions: starts, closed forms about two axes, and equations that give residuals and solutions."""
+"""Build families of steady motions from starts, closed forms about two axes, and equations that can be solved."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..vectors import across, dot, length, principal, ratio
 
 @shared
 def directions(points: Points) -> tuple[Array, Array]:
-    """alpha and gamma in body axes at the start, each of shape (3, points), from theta0, psi0 and phi0."""
+    """Return alpha and gamma in body axes at the start, each of shape (3, points), from theta0, psi0 and phi0."""
     st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
     sp, cp = np.sin(points["psi0"]), np.cos(points["psi0"])
     sf, cf = np.sin(points["phi0"]), np.cos(points["phi0"])
@@ -26,7 +26,7 @@ def directions(points: Points) -> tuple[Array, Array]:
 
 
 def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
-    """Angular velocity (3, points): `rate` about the vertical, m about e3 and theta_dot0 about the node."""
+    """Return the angular velocity (3, points) with `rate` about the vertical, m about e3 and theta_dot0 about the node."""
     w = rate * gamma
     w[0] += points["theta_dot0"] * np.cos(points["phi0"])
     w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
@@ -35,29 +35,29 @@ def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
 
 
 def about_third_axis(points: Points) -> TwoAxes:
-    """Motion about e3 at the rate m and about the vertical at the rate n, for starts given by angles and rates."""
+    """Return the motion about e3 at the rate m and the vertical at the rate n, for starts given by angles and rates."""
     gamma = directions(points)[1]
     return TwoAxes(principal(np.full(gamma.shape[1:], 2)), points["m"], gamma, points["n"])
 
 
 def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
-    """Motion about a body axis s and the vertical gamma, with rates from the part of w in their plane."""
+    """Return the motion about a body axis `s` and the vertical, with rates from the part of `w` in the plane of both."""
     normal = across(gamma, s)
     n = ratio(dot(w, normal), (normal**2).sum(0))
     return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
 
 
-# The stability_text of several families.
+# Several families have this stability_text.
 NEUTRAL = "Stability, as Family.stability, of motions near which no distance grows faster than t."
 
 
 class Start(ABC):
-    """Body, fields and state at t = 0 of a motion about any axes; vectors of shape (3, points) in body axes."""
+    """Body, fields and state at t = 0 of a motion about any axes. Vectors are in body axes, of shape (3, points)."""
 
     rotor: Array
     w: Array
     gamma: Array
-    moment: Array  # moment of inertia that is the unit of residuals
+    moment: Array  # moment of inertia in the unit of residuals
     field_torque: Array  # largest torque of the fields
     turn: Array | float = 0.0  # rate of the frame about gamma
 
@@ -66,22 +66,22 @@ class Start(ABC):
 
     @abstractmethod
     def axes(self) -> TwoAxes:
-        """Axes and rates of the motion."""
+        """Return the axes and rates of the motion."""
 
     @property
     def squared_rate(self) -> Array:
-        """Largest squared rate: of the frame, of the body, or a torque of fields or rotor divided by `moment`."""
+        """Largest squared rate of frame and body, or torque of fields or rotor over `moment` if this is larger."""
         square = np.maximum((self.w**2).sum(0), np.square(self.turn))
         torque = np.maximum(self.field_torque, length(self.rotor) * np.sqrt(square))
         return np.maximum(square, torque / self.moment)
 
     def residual(self, torque: Array) -> Array:
-        """Residual of a torque (vector or magnitude): the torque divided by `moment` and by the largest squared rate."""
+        """Return the magnitude of a torque divided by `moment` and by `squared_rate`."""
         size = np.abs(torque) if torque.ndim < self.w.ndim else length(torque)
         return ratio(size / self.moment, self.squared_rate)
 
     def nutation(self) -> Array:
-        """|w - (n + turn) gamma - m s| divided by the largest rate."""
+        """Return |w - (n + turn) gamma - m s| divided by the largest rate."""
         s, m, _, n = self.axes()
         rest = self.w - (n + self.turn) * self.gamma - m * s
         return ratio(length(rest), np.sqrt(self.squared_rate))
@@ -95,9 +95,9 @@ def family_about_axes(
     turn: Callable[[Points], Array] | None = None,
     **attributes: Any,
 ) -> Family:
-    """Family from a class of starts and from conditions, whose residuals are functions of a start.
+    """Return a family of the class `kind` of starts, with `conditions` whose residuals are functions of a start.
 
-    directions, turn: see `motion_of`; attributes: further attributes of the family.
+    The functions `directions` and `turn` are those of `motion_of`. Further `attributes` are passed to the family.
     """
 
     def of_points(function: Callable[[Any], Any], points: Points) -> Any:
@@ -113,9 +113,10 @@ def motion_of(
     directions: Callable[[Points], tuple[Array, ...]],
     turn: Callable[[Points], Array] | None = None,
 ) -> Callable[[Points, Array], Array]:
-    """Function for Family.motion: the closed form of a family, for a system whose state is w, then the directions fixed in the frame.
+    """Return the closed form for Family.motion, if the state consists of w and of directions fixed in the frame.
 
-    directions: points -> these directions at the start, each (3, points), the vertical last; turn: rate of the frame about it.
+    The function `directions` returns the directions at the start, each (3, points), the vertical last. The function `turn`
+    returns the rate of the frame about the vertical.
     """
 
     def motion(points: Points, t: Array) -> Array:
@@ -136,12 +137,12 @@ Solver = Callable[[Points], Array]
 
 @dataclass(frozen=True, eq=False)
 class Equation(Condition):
-    """Condition function(points) = 0, a scalar or a vector at each point; its residual is the magnitude divided by `unit`."""
+    """Condition function(points) = 0 for a scalar or vector function. The residual is the magnitude divided by `unit`."""
 
     residual: Callable[[Points], Array] = field(init=False)
     function: Callable[[Points], Array]
-    unit: Callable[[Points], Array] | None = None  # None: the function is dimensionless, of order 1
-    # The function divided by a factor that may vanish; used for solving.
+    unit: Callable[[Points], Array] | None = None  # None if `function` is dimensionless and of order 1
+    # `function` divided by a factor that may vanish. This form is solved.
     form: Callable[[Points], Array] | None = None
 
     def __post_init__(self) -> None:
@@ -154,20 +155,20 @@ class Equation(Condition):
         object.__setattr__(self, "residual", residual)
 
     def solve(self, *names: str) -> Mapping[str, Solver]:
-        """Parameter -> solver, for parameters in which the equation is linear."""
+        """Return a solver for each of the parameters `names`, in which the equation must be linear."""
         return linear(self.form or self.function, *names)
 
 
 def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
-    """Parameter -> solver of function(points) = 0, for parameters in which the function is linear.
+    """Return a solver of function(points) = 0 for each of the parameters `names`, in which `function` must be linear.
 
-    keep: whether a parameter, where every value solves the equation, keeps its value instead of becoming nan.
+    Where every value solves the equation, the parameter keeps the given value if `keep` is true, and else becomes nan.
     """
     return each(partial(_solve, function, keep), *names)
 
 
 def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: Points) -> Array:
-    """Root of a linear equation, by least squares over its components, with the slope from a complex step."""
+    """Return the root of a linear equation by least squares over the components. A complex step gives the slope."""
     zero = np.zeros_like(points[name])
     with np.errstate(all="ignore"):
         offset = np.asarray(function({**points, name: zero}))
@@ -180,12 +181,12 @@ def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: P
 
 
 def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, Solver]:
-    """Parameter -> solver; the argument `solver` is a function of the parameter's name and points."""
+    """Return a solver for each of the parameters `names`. The argument `solver` is a function of name and points."""
     return {name: partial(solver, name) for name in names}
 
 
 def nearest_root(roots: Array, near: Array) -> Array:
-    """The one of `roots`, (roots, points), nearest to `near`, or the largest of several for near = inf; nan where there is none."""
+    """Return the root nearest to `near`, or the largest root of several for near = inf, or nan where there is none."""
     finite = np.isfinite(roots)
     distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
     nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]
@@ -193,5 +194,5 @@ def nearest_root(roots: Array, near: Array) -> Array:
 
 
 def relative_to(value: Array, scale: Array) -> Array:
-    """value / scale; 0 where value is 0, nan where scale alone is 0."""
+    """Return value / scale, which is 0 where `value` is 0 and nan where only `scale` is 0."""
     return ratio(value, scale, np.where(value == 0, 0.0, np.nan))

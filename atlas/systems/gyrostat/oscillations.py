@@ -1,29 +1,29 @@
-"""Linear stability of motions that are equilibria in some frame, small oscillations about them, and stability by the energy.
+"""Linear stability, small oscillations and stability by the energy of motions that are equilibria in some frame.
 
-A motion that is no equilibrium may be equivalent to an equilibrium of another body. A body that turns about an axis of
-symmetry, with rotor and fields along it, is equivalent to a body at rest with the rotor k_i + I_i u_i, u the rotation relative
-to the frame: I_i enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing acts along alpha
-the rate of the frame about gamma may be chosen, and where nothing acts at all its vertical is chosen along the angular momentum.
-Other turning bodies have periodic linear equations (`floquet`), whose frequencies are defined up to multiples of the rate of
-rotation; no frequencies are given for them.
+A motion that is no equilibrium may be equivalent to an equilibrium of another body. Let a body turn about an axis of symmetry,
+with rotor and fields along this axis and the rotation u relative to the frame. It is equivalent to a body at rest with the
+rotor k_i + I_i u_i, because I_i enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing
+acts along alpha, the rate of the frame about gamma may be chosen. Where nothing acts at all, the vertical is chosen along the
+angular momentum. Other turning bodies have periodic linear equations (`floquet`). No frequencies are given for such bodies,
+because they are defined only up to multiples of the rate of rotation.
 
 At an equilibrium a small turn xi of the body (delta d = d x xi for both directions d of the frame) obeys
 
     I xi'' = v x xi' - W'' xi,    v = k + 2 I w - tr(I) w,    w = Omega gamma,
 
-W the amended potential, so that the squares x of the characteristic exponents are the roots of the cubic
+where W is the amended potential. The squares x of the characteristic exponents are therefore the roots of the cubic
 
     det(x I + W'') + x v.(x I + W'') v = 0.
 
-A turn xi = e about the vertical or the axis of symmetry that changes nothing is a cyclic direction: xi = e is a solution, and
-the momentum e.(I xi' - v x xi) is constant, so that two exponents are 0. These belong to neighbouring steady motions with other
-momenta and do not concern stability; rounding would turn them into a pair +-1e-8. For each of these directions the lowest
-coefficient of the cubic, which is 0, is left out with its root.
+If a turn xi = e about the vertical or the axis of symmetry changes nothing, e is a cyclic direction. Then xi = e is a solution
+and the momentum e.(I xi' - v x xi) is constant, so that two exponents are 0. Both belong to neighbouring steady motions with
+other momenta and do not concern stability, but rounding would turn them into a pair +-1e-8. For each cyclic direction the
+lowest coefficient of the cubic, which is 0, is therefore left out with the root 0.
 
 The Jacobi integral is xi'.I xi' / 2 + W, so that an equilibrium is stable by energy where W'' is positive definite (Lagrange,
-Dirichlet). If the momenta about cyclic directions E are constant, the Hessian at fixed momenta counts instead,
+Dirichlet). If the momenta about cyclic directions E are constant, the Hessian at fixed momenta counts instead. It is
 W'' + F (E^T I E)^-1 F^T with F = v x E (Routh, Rumyantsev). Damping destroys the momenta and does not change W. Dissipation
-inside the body conserves the momentum about an axis of symmetry of the frame, but not of the body: see `energy_minima`.
+inside the body conserves the momentum about an axis of symmetry of the frame, but not of the body (see `energy_minima`).
 Frequencies are computed without damping.
 P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10; V. V. Rumyantsev, J. Appl. Math. Mech. 30 (1966) 1090;
 N. G. Chetaev, The Stability of Motion, Pergamon 1961.
@@ -40,10 +40,10 @@ from ...flags import EnergyStability, Stability
 from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
 from .body import Body, cross_matrix, length, quadratic_roots, transverse_axes
 
-# Exponents closer than this, in units of Body.rate, coincide: the error of a double root is the square root of rounding.
+# Exponents closer than this, in units of Body.rate, coincide, because a double root has the square root of rounding as error.
 GROWTH_TOLERANCE = 1e-6
-_PARALLEL = 1e-9  # sine of an angle between parallel axes
-_ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
+_PARALLEL = 1e-9  # axes are parallel if the sine of the angle between them is smaller
+_ZERO = 1e-6  # frequencies and real parts below this fraction of the largest exponent are zero
 
 
 class Equilibria(NamedTuple):
@@ -54,15 +54,15 @@ class Equilibria(NamedTuple):
     alpha: Array  # (points, 3)
     gamma: Array
     rate: Array  # unit of rates, rad per time unit, (points,)
-    cyclic: Array  # columns vertical and axis of symmetry, 0 where not cyclic, (points, 3, 2)
+    cyclic: Array  # columns of vertical and axis of symmetry, 0 if not cyclic, (points, 3, 2)
     free: Mask  # where nothing acts and gamma is chosen along the angular momentum
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
-        """The equilibria among some motions; w, alpha, gamma: at the start, (points, 3).
+        """Return the equilibria among motions whose vectors at the start are `w`, `alpha` and `gamma`, (points, 3).
 
-        from_space: whether the frame is at rest in space where the axis of symmetry is on the vertical and nothing acts along alpha;
-        else the frame turns so that both oscillations of the axis are equally fast, which gives the energy its largest minimum.
+        The frame may be chosen where the axis of symmetry is vertical and nothing acts along alpha. If `from_space` is true, it is
+        at rest in space. Otherwise both oscillations of the axis are equally fast in it, and the energy has its largest minimum.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -90,7 +90,7 @@ class Equilibria(NamedTuple):
         return cls(points, equivalent, alpha[some], gamma[some], rate[some], cyclic[some], free[some])
 
     def squared_exponents(self) -> NDArray[np.complex128]:
-        """Squares of the characteristic exponents without damping, (points, 3); nan for a cyclic direction, inf after an overflow."""
+        """Return squares of characteristic exponents without damping, (points, 3); nan if cyclic, inf after an overflow."""
         inertia, v = self.body.inertia, self.body.gyroscopic(self.body.turn[:, None] * self.gamma)
         hessian = self.body.hessian(self.alpha, self.gamma)
         diagonal = np.diagonal(hessian, axis1=1, axis2=2)
@@ -111,10 +111,10 @@ class Equilibria(NamedTuple):
         companion[:, :, -1] = -np.stack(
             [np.linalg.det(hessian[cubic]) / volume[cubic], Q[cubic], P[cubic]], 1
         )
-        finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of the smallest rates underflow
+        finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of small rates may underflow
         result[cubic[finite]] = np.linalg.eigvals(companion[finite])
         result[cubic[~finite]] = result[~np.isfinite(P + Q)] = np.inf
-        # In the frame a free body's angular momentum, displaced from gamma, turns at -Omega: x = -Omega^2 is no oscillation.
+        # The displaced angular momentum of a free body turns at -Omega in the frame. This root x = -Omega^2 is no oscillation.
         free = np.flatnonzero(self.free & (degree > 0))
         result[free, 0] = -P[free] + self.body.turn[free] ** 2
         result[free, 1] = np.nan
@@ -122,7 +122,7 @@ class Equilibria(NamedTuple):
         return result
 
     def exponents(self) -> NDArray[np.complex128]:
-        """Characteristic exponents in units of the rate, (points, 6); nan and inf as in `squared_exponents`."""
+        """Return characteristic exponents in units of `rate`, (points, 6), with nan and inf as in `squared_exponents`."""
         roots = np.sqrt(self.squared_exponents())
         exponents = np.concatenate([roots, -roots], 1)
         damped = np.flatnonzero(self.body.damping > 0)
@@ -139,7 +139,7 @@ class Equilibria(NamedTuple):
         return exponents
 
     def stability(self) -> tuple[Flags, Array]:
-        """Spectral stability and growth rate (rad per time unit), (points,), as in System.linear_stability."""
+        """Return spectral stability and growth rate (rad per time unit), (points,), as System.linear_stability."""
         with np.errstate(all="ignore"):
             exponents = self.exponents()
         finite = np.logical_not(np.isinf(exponents.real).any(1))
@@ -147,7 +147,7 @@ class Equilibria(NamedTuple):
         unstable = growth > GROWTH_TOLERANCE
         on_axis = np.sort(
             np.where(exponents.real >= -GROWTH_TOLERANCE, exponents.imag, np.nan), axis=1
-        )  # nan last
+        )  # nan is sorted last
         stable = finite & ~unstable & ~(np.diff(on_axis, axis=1) <= GROWTH_TOLERANCE).any(1)
         undecided = np.flatnonzero(finite & ~unstable & ~stable)
         if undecided.size:
@@ -160,15 +160,15 @@ class Equilibria(NamedTuple):
         return flags.astype(np.int8), np.where(finite, np.where(unstable, growth * self.rate, 0.0), np.nan)
 
     def frequencies(self) -> Array:
-        """Frequencies, rad per time unit, the largest first; nan for exponents that are 0 or have a real part, (points, 3)."""
+        """Return frequencies, rad per time unit, (points, 3), the largest first. nan: the exponent is 0 or has a real part."""
         exponents = np.sqrt(self.squared_exponents())
         scale = np.fmax.reduce(np.abs(exponents), axis=1)[:, None]
         oscillating = (np.abs(exponents.imag) > _ZERO * scale) & (exponents.real <= _ZERO * scale)
         values = np.where(oscillating, np.abs(exponents.imag), np.nan) * self.rate[:, None]
-        return -np.sort(-values, axis=-1)  # nan last
+        return -np.sort(-values, axis=-1)  # nan is sorted last
 
     def hessian_eigenvalues(self) -> Array:
-        """Ascending eigenvalues of the Hessian of W at fixed momenta, divided by its largest entry; 1 for cyclic directions."""
+        """Return ascending eigenvalues of the scaled Hessian of W at fixed momenta, with 1 for cyclic directions."""
         E = self.cyclic
         forces = cross_matrix(self.body.gyroscopic(self.body.turn[:, None] * self.gamma)) @ E
         moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)
@@ -177,23 +177,23 @@ class Equilibria(NamedTuple):
         return _eigenvalues(hessian + np.where(self.body.damping[:, None, None] > 0, 0.0, stiffness), E)
 
     def symmetric(self) -> Mask:
-        """Where the body has an axis of symmetry, (points,)."""
+        """Return where the body has an axis of symmetry, (points,)."""
         return np.any([self.body.symmetric_about(i) for i in range(3)], axis=0)
 
     def energy_stability(self) -> Flags:
-        """Stability by the energy at fixed momenta, values of flags.EnergyStability, (points,)."""
+        """Return stability by the energy at fixed momenta, as values of flags.EnergyStability, (points,)."""
         with np.errstate(all="ignore"):
             least = self.hessian_eigenvalues()[:, 0]
-            # The energy of a free body at fixed angular momentum: a maximum proves stability as a minimum does.
+            # For a free body, a maximum of the energy at fixed angular momentum proves stability as a minimum does.
             polhode = -self.squared_exponents()[:, 0].real
             least = np.where(self.free, np.where(np.isnan(polhode), 1.0, polhode), least)
             return _verdict(least)
 
 
 def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
-    """Whether motions are minima of the energy at fixed values of the momenta that internal dissipation conserves.
+    """Return whether motions are minima of the energy at fixed values of the momenta that internal dissipation conserves.
 
-    w, alpha, gamma: at the start, (points, 3). Values of flags.EnergyStability, (points,).
+    The vectors `w`, `alpha` and `gamma` (points, 3) are at the start. Results are values of flags.EnergyStability, (points,).
     """
     body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
     rate = body.rate(w)
@@ -202,7 +202,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
     any_frame = ~body.acts_across()
     free = any_frame & ~body.acts_along(body.gamma)
     with np.errstate(all="ignore"):
-        # Hessian of W; where nothing acts across gamma, at fixed momentum about gamma in the frame that turns at w.gamma.
+        # Hessian of W. Where nothing acts across gamma, the momentum about gamma is fixed, and the frame turns at w.gamma.
         turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
         force = np.cross(body.gyroscopic(turn[:, None] * gamma), gamma)
         kept = np.where(any_frame & (body.damping == 0), 1.0 / (body.inertia * gamma**2).sum(-1), 0.0)
@@ -212,7 +212,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         hat = cross_matrix(vertical)
         turns = np.where(axes & ~(any_frame[:, None] & (length(hat) <= _PARALLEL))[:, None], np.eye(3), 0.0)
-        # Where nothing acts: Hessian of the energy (M - k).I^-1 (M - k) / 2 at fixed angular momentum M.
+        # Where nothing acts, the Hessian is that of the energy (M - k).I^-1 (M - k) / 2 at fixed angular momentum M.
         momentum = body.inertia * w + body.rotor
         square = (momentum**2).sum(-1)
         share = np.where(square > 0, (w * momentum).sum(-1) / square, 0.0)
@@ -231,7 +231,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
 
 
 def _eigenvalues(hessian: Array, still: Array) -> Array:
-    """Ascending eigenvalues of Hessians (points, 3, 3) divided by their largest entry; 1 in the span of the columns `still`."""
+    """Return ascending eigenvalues of Hessians over their largest entries, and 1 in the span of the columns `still`."""
     scale = np.abs(hessian).max((1, 2))
     projection = still @ np.linalg.pinv(still, rcond=1e-12)
     complement = np.eye(3) - projection
@@ -243,13 +243,13 @@ def _eigenvalues(hessian: Array, still: Array) -> Array:
 
 
 def _verdict(least: Array) -> Flags:
-    """Values of flags.EnergyStability from the least eigenvalue of a second variation."""
+    """Return values of flags.EnergyStability from the least eigenvalue of a second variation."""
     flags = np.where(least > 0, EnergyStability.YES, EnergyStability.NO).astype(np.int8)
     return np.where(np.abs(least) > FAMILY_TOLERANCE, flags, np.int8(EnergyStability.UNKNOWN))
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Body and motion, for spherical bodies in new axes, the first along rotor and fields, or across w if there are none."""
+    """Return body and motion. New axes of a spherical body have the first axis along rotor and fields, or else across `w`."""
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma
@@ -275,7 +275,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Rate of a frame in which the body rests or turns about an axis of symmetry, index of this axis or -1, where a frame exists."""
+    """Return the rate of a frame in which a body rests or turns about an axis of symmetry, this axis, and where both exist."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

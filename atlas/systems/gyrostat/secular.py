@@ -1,4 +1,4 @@
-"""All critical points of a quadratic function on the unit sphere, from the secular equation of the Lagrange multiplier."""
+"""Find all critical points of a quadratic function on the unit sphere from the secular equation of the multiplier."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from ..base import Array, Mask
 from ..vectors import length, unit
 from .body import Body
 
-PLACES = 12  # largest number of directions of a body
+PLACES = 12  # largest number of critical directions of a body
 NEARLY = np.int8(-2)  # `dimension` of a direction near which two complex solutions almost coincide
 
 
 class SecularEquation:
-    """Equation sum b_i^2 / (d_i - L)^2 = 1 with roots L = origin + shift, origin a pole d_i; arrays (3, points)."""
+    """Equation sum b_i^2 / (d_i - L)^2 = 1 for L = origin + shift, where the origin is a pole d_i. Arrays are (3, points)."""
 
     def __init__(self, d: Array, b: Array):
         active = b != 0
-        self.d, self.b = np.where(active, d, np.inf), b  # L may equal a d_i with b_i = 0
+        self.d, self.b = np.where(active, d, np.inf), b  # no pole where b_i = 0
         self.exists = active.any(0)
-        # A d_i with b_i = 0 is moved onto a pole: the empty interval between them has no root.
+        # A d_i with b_i = 0 is moved onto a pole, so that the interval between both is empty and has no root.
         anchor = np.take_along_axis(d, active.argmax(0)[None], 0)
         self.poles = np.sort(np.where(active, d, anchor), axis=0)
         self.total = length(b)
@@ -35,7 +35,7 @@ class SecularEquation:
         return np.where(self.d == origin, np.abs(self.b), 0.0).max(0)
 
     def root(self, near: Array, far: Array, origin: Array) -> Array:
-        """Shift of a root from the pole `origin`, by bisection of its logarithm; the sum is above 1 at near, below 1 at far."""
+        """Return the shift of a root from `origin` by bisection of log |shift|. The sum is above 1 at `near`, below 1 at `far`."""
         side = np.sign(far)
         near, far = np.abs(near), np.abs(far)
         for _ in range(64):
@@ -45,7 +45,7 @@ class SecularEquation:
         return side * far
 
     def minimum(self, low: Array, high: Array) -> Array:
-        """Distance from the pole low, towards the pole high, at which the sum is least."""
+        """Return the distance from the pole `low`, towards the pole `high`, at which the sum is least."""
         near, far = np.zeros_like(low), high - low
         for _ in range(60):
             middle = 0.5 * (near + far)
@@ -54,7 +54,7 @@ class SecularEquation:
         return near
 
     def write_directions(self, g: Array, dimension: NDArray[np.int8]) -> None:
-        """Write the directions of the roots into columns 0 to 5."""
+        """Write the directions of the roots into columns 0 to 5 of `g`, and their dimensions."""
 
         def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
             g[:, column] = self.direction(shift, origin)
@@ -78,9 +78,9 @@ class SecularEquation:
 def directions(
     body: Body, towards: Array | None = None, nearly: bool = False
 ) -> tuple[Array, NDArray[np.int8]]:
-    """All directions of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
+    """Return all directions of the vertical in the body at which a body rests in the frame, if nothing acts along alpha.
 
-    As `critical_directions`; for a body about a fixed point d = (n^2 - N) I and b = n l + Mg r_c.
+    Results are those of `critical_directions`. A body about a fixed point has d = (n^2 - N) I and b = n l + Mg r_c.
     """
     d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
     return critical_directions(d, body.turn * body.rotor.T - body.gamma.field.T, towards, nearly)
@@ -89,14 +89,14 @@ def directions(
 def critical_directions(
     d: Array, b: Array, towards: Array | None = None, nearly: bool = False
 ) -> tuple[Array, NDArray[np.int8]]:
-    """Critical points of g.(d g) / 2 + b.g on the unit sphere, d diagonal; arrays (3, points).
+    """Return the critical points g of g.(d g) / 2 + b.g on the unit sphere, where d is diagonal. Arrays are (3, points).
 
-    g = -b / (d - L), and L a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole
-    and none or two between neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
+    They are g = -b / (d - L), where L is a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1. One root lies outside each
+    end pole, and none or two lie between neighbours. A component with b_i = 0 also allows L = d_i with g_i free.
 
-    towards: directions (3, points); from a circle of solutions the one nearest to `towards` is taken. Returns g, (3, 12, points),
-    nan in unused columns, and the dimension of the set of solutions around each g, (12, points): 0 isolated, 1 a circle, 2 every
-    direction, -1 unused, with nearly also NEARLY.
+    From a circle of solutions, the one nearest to the direction `towards` is taken. The array g, (3, 12, points), is nan in
+    unused columns. The second array, (12, points), is the dimension of the set of solutions around each g: 0 for an isolated
+    one, 1 for a circle, 2 for every direction, -1 for an unused column, and NEARLY if `nearly` is true.
     """
     order = np.argsort(d, axis=0, kind="stable")
     d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)
@@ -104,7 +104,7 @@ def critical_directions(
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
         SecularEquation(d, b).write_directions(g, dimension)
-        for i in range(3):  # solutions L = d_i, whose components g_i are free, in columns 6 to 11
+        for i in range(3):  # columns 6 to 11 have solutions L = d_i with free components g_i
             group = d == d[i]
             free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
             fixed = np.where(group, 0.0, -b / (d - d[i]))

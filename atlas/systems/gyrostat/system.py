@@ -1,4 +1,4 @@
-"""Theory common to all gyrostats: linear stability, small oscillations and stability by the energy."""
+"""Compute linear stability, small oscillations and stability by the energy for all gyrostats."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .body import Body, length, transverse_axes
 from .oscillations import Equilibria, energy_minima
 
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
-_CHUNK = 2048  # points whose exponents are computed together
-# Logarithm of the growth over a run up to which the growth is a change of amplitude and no instability.
+_CHUNK = 2048  # number of points whose exponents are computed together
+# Growth over a run up to this logarithm is a change of amplitude and no instability.
 _AMPLITUDE_GROWTH = 10.0
 
 
 class Gyrostat(System):
-    """Gyrostat in a frame that turns uniformly about its vertical; the theory follows from `body`.
+    """Gyrostat in a frame that turns uniformly about its vertical. The theory follows from `body`.
 
-    Its states are `rate_states`, the angular velocity in space, and the ``FRAME_VECTORS`` of its equations: the vertical gamma,
-    or alpha and gamma, as in `Body`.
+    The states are the angular velocity in space, `rate_states`, and the ``FRAME_VECTORS`` of the equations. These vectors are
+    the vertical gamma, or alpha and gamma, as in `Body`.
     """
 
     moments_of_inertia = ("A", "B", "C")
@@ -52,46 +52,46 @@ class Gyrostat(System):
 
     @abstractmethod
     def body(self, points: Points) -> Body:
-        """The gyrostat at each point as a `Body`, with vectors of shape (points, 3)."""
+        """Return the gyrostat at each point as a `Body`, with vectors of shape (points, 3)."""
 
     def frequency_bound(self, points: Points) -> Array:
-        """Bound of frequencies from the energy, see Body.frequency_bound."""
+        """Return Body.frequency_bound, which follows from the energy."""
         w, alpha, gamma = self.start(points)
         return self.body(points).frequency_bound(w, alpha, gamma)
 
     @shared
     def natural_rate(self, points: Points) -> Array:
-        """Rate of the frame, else of the fields, else of start and rotor, see Body.natural_rate."""
+        """Return Body.natural_rate, the rate of the frame, else of the fields, else of start and rotor."""
         with np.errstate(all="ignore"):
             return self.body(points).natural_rate(self._triples(self.initial_state(points))[0])
 
     def start(self, points: Points) -> tuple[Array, Array, Array]:
-        """w, alpha and gamma at the start, each (points, 3) in body axes."""
+        """Return w, alpha and gamma at the start, each (points, 3) in body axes."""
         return self.vectors(self.initial_state(points))
 
     def vectors(self, states: Array) -> tuple[Array, Array, Array]:
-        """w, alpha and gamma of states (states, points), each (points, 3); a frame without alpha has any vector normal to gamma."""
+        """Return w, alpha and gamma of states, each (points, 3). Without alpha, any vector normal to gamma is returned."""
         w, *others, gamma = self._triples(states)
         return w, others[0] if others else transverse_axes(gamma)[..., 0, :], gamma
 
     def _triples(self, states: Array) -> list[Array]:
-        """From states (states, points) the angular velocity and the directions at rest in the frame, each (points, 3)."""
+        """Return the angular velocity and the directions at rest in the frame, each (points, 3), of states (states, points)."""
         state = dict(zip(self.equations.STATE, states, strict=True))
         names = self.rate_states, *self.equations.FRAME_VECTORS
-        # Each component is contiguous in memory, which makes sums over components several times as fast.
+        # Components are contiguous in memory, which makes sums over components several times as fast.
         return [np.moveaxis(np.array([state[name] for name in triple]), 0, -1) for triple in names]
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:
-        """Flags of the families for which frequencies and stability by the energy are computed."""
+        """Return flags of the families for which frequencies and stability by the energy are computed."""
         return self.identify_family(points)[0]
 
     def squared_unit(self, points: Points) -> Array:
-        """Square of the unit of rates in `condition_residual`, (points,); by default the squared frequency bound."""
+        """Return the squared unit of rates in `condition_residual`, (points,). The default is the squared frequency bound."""
         return self.frequency_bound(points) ** 2
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        """Stability by the formula of the family if it has one, else from the linear equations."""
+        """Return the stability from the formula of the family, or from the linear equations if the family has none."""
         stable, growth = super().linear_stability(points, flags)
         remaining = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & (stable == Stability.UNKNOWN))
         if remaining.size:
@@ -100,7 +100,7 @@ class Gyrostat(System):
         return stable, growth
 
     def stability(self, points: Points) -> tuple[Flags, Array]:
-        """Stability and growth rate from eigenvalues or multipliers alone, (points,); each point starts a steady motion."""
+        """Return stability and growth rate of the steady motions, (points,), from eigenvalues or multipliers alone."""
         body, start = self.body(points), self.start(points)
         stable, growth = np.zeros(body.turn.size, np.int8), np.full(body.turn.size, np.nan)
         for first in range(0, body.turn.size, _CHUNK):
@@ -115,21 +115,21 @@ class Gyrostat(System):
         stable[rest.points], growth[rest.points] = rest.stability()
         moving = _turning_motions(rest, body, start)
         if moving.size:
-            from . import floquet  # motions at rest in some frame need no multipliers
+            from . import floquet  # imported here, because equilibria need no multipliers
 
             part = (vector[moving] for vector in start)
             stable[moving], growth[moving] = floquet.stability(body.subset(moving), *part)
         return stable, growth
 
     def with_defaults(self, body: Mapping[str, float]) -> Points:
-        """Every parameter of one body, arrays (1,); missing ones take their defaults."""
+        """Return every parameter of one body as an array (1,). A missing parameter takes its default."""
         return {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
 
     def frequencies(self, points: Points, flags: Flags) -> Array:
-        """Frequencies of small oscillations about steady motions, rad per time unit, the largest first, (points, 3).
+        """Return frequencies of small oscillations about steady motions, rad per time unit, the largest first, (points, 3).
 
-        flags: families, 0: none, which gives nan. nan also for exponents that are 0 or have a real part, and where the linear
-        equations are periodic.
+        A frequency is nan if the exponent is 0 or has a real part. All are nan where `flags` is 0 and where the linear equations
+        are periodic.
         """
         result, members = np.full((flags.size, 3), np.nan), np.flatnonzero(flags > 0)
         with np.errstate(all="ignore"):
@@ -139,7 +139,7 @@ class Gyrostat(System):
         return result
 
     def energy_stability(self, points: Points, flags: Flags) -> Flags:
-        """Whether steady motions minimise the energy at the momenta that internal dissipation conserves, as EnergyStability."""
+        """Return whether steady motions minimise the energy at the momenta that internal dissipation conserves."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         part = subset(points, members)
         body, start = self.body(part), self.start(part)
@@ -148,7 +148,7 @@ class Gyrostat(System):
         return result
 
     def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
-        """Stability by the energy at fixed momenta, as EnergyStability, and where it is YES for a body with an axis of symmetry."""
+        """Return EnergyStability at fixed momenta, and where it is YES for a body with an axis of symmetry."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
@@ -159,14 +159,14 @@ class Gyrostat(System):
         return result, symmetric & (result == EnergyStability.YES)
 
     def conserves_axial_momentum(self, points: Points) -> Mask:
-        """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through this sum alone."""
+        """Return where C w3 + rotor is constant and is all that the third axis' motion contains of spin and rotor."""
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
-        """Points with the same motion of the third axis but slower rotation, and the excess of their phi', rad per time unit.
+        """Return points with the same motion of the third axis but slower rotation, and the excess of phi' at these points.
 
-        Where C w3 + rotor is constant, the rotor is replaced by spin if that lowers the frequency bound: such points are cheaper
-        to integrate accurately.
+        Where C w3 + rotor is constant, spin replaces the rotor if this lowers the frequency bound. Such points are cheaper to
+        integrate accurately.
         """
         if not (rotor := self.axial_rotor):
             return points, np.zeros(shape_of(points))
@@ -180,10 +180,10 @@ class Gyrostat(System):
 
 
 def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
-    """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
+    """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
-    It is growth_rate x duration, except for a gyrostat whose run is shorter than the period of the linear system and may contain
-    its unstable phases alone: there the growth from start to end of the run counts, if it is more than a change of amplitude.
+    In general it is growth_rate x duration. The run of a gyrostat may be shorter than the period of the linear system and contain
+    only unstable phases. The growth from start to end of the run then counts, if it is more than a change of amplitude.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):
@@ -211,7 +211,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
 
 
 def _turning_motions(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:
-    """Indices of motions that turn steadily and are no equilibria."""
+    """Return the indices of motions that turn steadily and are no equilibria."""
     moving = np.delete(np.arange(body.turn.size), rest.points)
     if not moving.size:
         return moving
@@ -220,32 +220,32 @@ def _turning_motions(rest: Equilibria, body: Body, start: tuple[Array, Array, Ar
 
 @shared
 def steady_families(system: Gyrostat, points: Points) -> Flags:
-    """Flags of `oscillation_families`, 0 for motions with a varying rate."""
+    """Return the flags of `oscillation_families`, with 0 for motions at a varying rate."""
     flags = system.oscillation_families(points)
     return np.where(unsteady(system, flags), 0, flags)
 
 
 @shared
 def energy_stable(system: Gyrostat, points: Points) -> Flags:
-    """Values of flags.EnergyStability."""
+    """Return values of flags.EnergyStability for steady motions."""
     return system.energy_stability(points, steady_families(system, points))
 
 
 @shared
 def conservative(system: Gyrostat, points: Points) -> tuple[Flags, Mask]:
-    """See `Gyrostat.conservative_stability`."""
+    """Return `Gyrostat.conservative_stability` of steady motions."""
     return system.conservative_stability(points, steady_families(system, points))
 
 
 @shared
 def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
-    """Values of flags.StabilityKind."""
+    """Return values of flags.StabilityKind for steady motions."""
     stable, growth = system.linear_stability(points, system.oscillation_families(points))
     return stability_kind(stable, growth, energy_stable(system, points), conservative(system, points)[1])
 
 
 def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """Derived variables: three frequencies, stability by the energy, and the kind of stability."""
+    """Return derived variables for three frequencies, stability by the energy, and the kind of stability."""
 
     def group_values(
         names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
@@ -276,9 +276,9 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 
 
 def stability_kind(linear: Flags, growth: Array, energy: Flags, axial: Mask | bool = False) -> Flags:
-    """Values of flags.StabilityKind, (points,), from linear stability, growth rate and stability by the energy.
+    """Return values of flags.StabilityKind, (points,), from linear stability, growth rate and stability by the energy.
 
-    axial: where the energy proves stability at a fixed momentum about an axis of symmetry.
+    The mask `axial` is true where the energy proves stability at a fixed momentum about an axis of symmetry.
     """
     stable = linear == Stability.STABLE
     kinds = {

@@ -61,8 +61,8 @@ class Equilibria(NamedTuple):
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
         """Return the equilibria among motions whose vectors at the start are `w`, `alpha` and `gamma`, (points, 3).
 
-        The frame may be chosen where the axis of symmetry is vertical and nothing acts along alpha. If `from_space` is true, it is
-        at rest in space. Otherwise both oscillations of the axis are equally fast in it, and the energy has its largest minimum.
+        Where the axis of symmetry is vertical and nothing acts along alpha, the frame is at rest in space if `from_space` is true.
+        Otherwise the axis has two equally fast oscillations in the frame, and the energy has its largest minimum.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -275,7 +275,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Return the rate of a frame in which a body rests or turns about an axis of symmetry, this axis, and where both exist."""
+    """Return the rate of a frame in which a body rests or turns about an axis of symmetry, this axis or -1, and where a frame exists."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

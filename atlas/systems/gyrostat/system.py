@@ -239,7 +239,7 @@ def conservative(system: Gyrostat, points: Points) -> tuple[Flags, Mask]:
 
 @shared
 def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
-    """Return values of flags.StabilityKind for steady motions."""
+    """Return values of flags.StabilityKind."""
     stable, growth = system.linear_stability(points, system.oscillation_families(points))
     return stability_kind(stable, growth, energy_stable(system, points), conservative(system, points)[1])
 

@@ -1,9 +1,9 @@
-"""Spherical satellites, which the gravity gradient does not turn: motions about any axis of the body and the normal.
+"""Motions of spherical satellites, which the gravity gradient does not turn, about any axis of the body and the normal.
 
-With the rotor and the magnet along an axis s of the body and without drag or a field along the radius the body is a spherical
-top in the field along the normal: w = N g + m s with N (C m + k.s) = h3 mu.s; in the orbital frame its rate about the normal
-g is N - Omega. Without rotor and magnet every rotation is of this kind, with N = 0 and s along w: it is a permanent rotation in
-space. With a rotor alone any other start precesses about the angular momentum, which is at rest in space but not in the orbital frame.
+Let rotor and magnet be along an axis s of the body, without drag and without a field along the radius. The body is then a
+spherical top in the field along the normal g, with w = N g + m s and N (C m + k.s) = h3 mu.s. In the orbital frame the rate
+about the normal is N - Omega. Without rotor and magnet every rotation is permanent in space, with N = 0 and s along w. With a
+rotor alone, other starts precess about the angular momentum, which is at rest in space but not in the orbital frame.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .initial import body_vectors, directions, drag_vector, initial_state
 
 
 class Start(motions.Start):
-    """Start of a spherical satellite; residuals are in units of the moment C."""
+    """Start of a spherical satellite. Residuals are in units of the moment C."""
 
     def __init__(self, points: Points):
         state = initial_state(points)
@@ -30,25 +30,25 @@ class Start(motions.Start):
         self.field_torque = field_torque(points)
 
     def axes(self) -> TwoAxes:
-        """Axes and rates; s is along the rotor, without rotor along the magnet, without both along w."""
+        """Return axes and rates. The axis s is along the rotor, without a rotor along the magnet, and else along w."""
         s = np.where(length(self.magnet) > 0, self.magnet, self.w)
         s = unit(np.where(length(self.rotor) > 0, self.rotor, s), self.gamma)
         axes = about_axis(s, self.w, self.gamma)
         return axes._replace(precession_rate=axes.precession_rate - self.turn)
 
     def across_axis(self) -> Array:
-        """Bound of the torque of the parts of rotor and magnet across s."""
+        """Return a bound of the torque that the parts of rotor and magnet across s exert."""
         s = self.axes().spin_axis
         return length(cross(self.rotor, s)) * length(self.w) + length(cross(self.magnet, s))
 
     def imbalance(self) -> Array:
-        """Magnitude of the torque that is normal to s and to the vertical."""
+        """Return the magnitude of the torque that is normal to s and to the vertical."""
         s, m, _, n = self.axes()
         balance = (n + self.turn) * (self.moment * m + dot(self.rotor, s)) - dot(self.magnet, s)
         return np.abs(balance) * length(cross(s, self.gamma))
 
     def dissipation(self) -> Array:
-        """Residual of the damping torque on the rotation relative to the orbital frame."""
+        """Return the residual of the damping torque on the rotation relative to the orbital frame."""
         damping, rate = self.points["damping"], np.sqrt(self.squared_rate)
         turning = length(self.w - self.turn * self.gamma)
         return ratio(damping * turning, rate * (self.moment * rate + damping))

@@ -1,4 +1,4 @@
-"""Equations of the families of steady motions of the satellite, and the quantities in them.
+"""Equations of the families of steady motions of the satellite, and quantities in these equations.
 
 `families` explains the short names, the equations (*) and the scales of the residuals.
 """
@@ -16,32 +16,32 @@ from .initial import body_vectors, directions, drag_vector
 
 
 def sine_cosine(angle: Array) -> tuple[Array, Array]:
-    """sin and cos of an angle; magnitudes below 1e-14, which come from the rounding of pi, become 0."""
+    """Return sin and cos of an angle. Magnitudes below 1e-14 come from the rounding of pi and become 0."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.where(np.abs(sine) < 1e-14, 0.0, sine), np.where(np.abs(cosine) < 1e-14, 0.0, cosine)
 
 
 @shared
 def tilt(p: Points) -> tuple[Array, Array]:
-    """s = sin theta0 and c = cos theta0."""
+    """Return s = sin theta0 and c = cos theta0."""
     return sine_cosine(p["theta0"])
 
 
 @shared
 def node(p: Points) -> tuple[Array, Array]:
-    """sin psi0 and cos psi0."""
+    """Return sin psi0 and cos psi0."""
     return sine_cosine(p["psi0"])
 
 
 @shared
 def largest_inertia(p: Points) -> Array:
-    """Largest moment of inertia J."""
+    """Return the largest moment of inertia J."""
     return np.maximum(np.maximum(p["A"], p["B"]), p["C"])
 
 
 @shared
 def rate_scale(p: Points) -> Array:
-    """Sum of the magnitudes of all rates: of orbit, magnet and drag, and of the body across and along its third axis."""
+    """Return the sum of the rates of orbit, magnet and drag, and of the body across and along its third axis."""
     across, along = p["n"] * np.sin(p["theta0"]), p["n"] * np.cos(p["theta0"]) + p["m"]
     of_fields = np.sqrt(field_torque(p) / largest_inertia(p))
     return np.abs(p["Omega"]) + of_fields + np.abs(across) + np.abs(along) + np.abs(p["theta_dot0"])
@@ -49,42 +49,42 @@ def rate_scale(p: Points) -> Array:
 
 @shared
 def momentum_scale(p: Points) -> Array:
-    """Largest moment of inertia times the sum of the rates, plus the rotor's momentum."""
+    """Return the largest moment of inertia times `rate_scale`, plus the rotor's momentum."""
     return largest_inertia(p) * rate_scale(p) + np.sqrt(p["k1"] ** 2 + p["k2"] ** 2 + p["k3"] ** 2)
 
 
 @shared
 def magnetic_moment(p: Points) -> Array:
-    """Magnitude of the magnetic moment."""
+    """Return the magnitude of the magnetic moment."""
     return np.sqrt(p["mu1"] ** 2 + p["mu2"] ** 2 + p["mu3"] ** 2)
 
 
 @shared
 def field_torque(p: Points) -> Array:
-    """Sum of the largest torques of magnet and drag."""
+    """Return the sum of the largest torques of magnet and drag."""
     return magnetic_moment(p) * np.hypot(p["h1"], p["h3"]) + length(drag_vector(p))
 
 
 @shared
 def torque_scale(p: Points) -> Array:
-    """Scale of rates times scale of momenta, plus the largest torques of magnet and drag."""
+    """Return `rate_scale` times `momentum_scale`, plus the largest torques of magnet and drag."""
     return rate_scale(p) * momentum_scale(p) + field_torque(p)
 
 
 @shared
 def node_field(p: Points) -> tuple[Array, Array, Array]:
-    """Components of the field H along the node, across the node, and along the third body axis."""
+    """Return the components of the field H along the node, across the node, and along the third body axis."""
     (s, c), (sp, cp) = tilt(p), node(p)
     return p["h1"] * cp, p["h3"] * s - p["h1"] * c * sp, p["h3"] * c + p["h1"] * s * sp
 
 
 def axial_rate(p: Points) -> Array:
-    """w3, the component of the angular velocity along the third body axis."""
+    """Return w3, the component of the angular velocity along the third body axis."""
     return (p["n"] + p["Omega"]) * tilt(p)[1] + p["m"]
 
 
 def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array]:
-    """Torque on the body at rest in the orbital frame, and alpha, gamma; shape (3, points) each."""
+    """Return the torque on a body at rest in the orbital frame, alpha and gamma, each (3, points)."""
     inertia, k, mu = body_vectors(p)
     alpha, gamma = directions(p)
     square = p["Omega"] ** 2
@@ -95,12 +95,12 @@ def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array
 
 
 def flatness(p: Points) -> Array:
-    """a - C with a = (A + B) / 2."""
+    """Return a - C with a = (A + B) / 2."""
     return 0.5 * (p["A"] + p["B"]) - p["C"]
 
 
 def _pair(p: Points, factor: Array, imaginary: Array | float, real: Array) -> Array:
-    """Real and imaginary part of factor K - (real + i imaginary) U, (2, points)."""
+    """Return real and imaginary part of factor K - (real + i imaginary) U, (2, points)."""
     return np.array(
         [
             factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"],
@@ -117,7 +117,7 @@ def tilt_balance(p: Points) -> Array:
 
 
 def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
-    """`tilt_balance` divided by s, or by Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = drag3 cos psi0."""
+    """Return `tilt_balance` over s, or over Omega s if `by_rate` is true. At s = 0 return the limit, or nan."""
     (s, c), (sp, cp) = tilt(p), node(p)
     radial = p["mu3"] * p["h1"] * c * sp - p["drag3"] * c * cp
     field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, ratio(radial, s, np.nan))
@@ -126,7 +126,7 @@ def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
 
 
 def oblique_balance(p: Points, without_pole: bool = False) -> Array:
-    """Balance of an oblique axis; without_pole: times cos psi0, which removes the pole at cos psi0 = 0."""
+    """Return the balance of an oblique axis, times cos psi0 if it must be without a pole at cos psi0 = 0."""
     sp, cp = node(p)
     balance, drag = 3 * p["Omega"] ** 2 * tilt(p)[0] * sp * flatness(p) - p["h1"] * p["mu3"], p["drag3"] * sp
     return (
@@ -147,7 +147,7 @@ def _plane_torque(p: Points) -> Array:
 
 
 def _asymmetry_about_normal(p: Points) -> Array:
-    """Deviation of gamma from an axis across which every direction has the same moment of inertia."""
+    """Return how far gamma is from an axis across which all directions have the same moment of inertia."""
     inertia, _, _ = body_vectors(p)
     alpha, gamma = directions(p)
     beta = cross(gamma, alpha)

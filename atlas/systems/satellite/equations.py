@@ -1,31 +1,30 @@
 """Euler-Poisson equations of the magnetised satellite-gyrostat on a circular orbit, with a torque of drag.
 
-Derived from the kinematics (1), Lagrangian (2) and potential (3) of Yehia & El-kenani 2021
-(doi 10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_equations.py` repeats the derivation.
-All vectors are given in the body's principal axes: w is the absolute angular velocity, a (alpha) the
-unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gamma x alpha.
+They follow from the kinematics (1), the Lagrangian (2) and the potential (3) of Yehia & El-kenani 2021
+(doi 10.22055/JACM.2021.37913.3113). `tests/systems/test_satellite_equations.py` repeats the derivation.
+All vectors are given in the body's principal axes. The absolute angular velocity is w, the unit vector along the
+radius is a (alpha), the unit normal of the orbit is g (gamma), and beta = gamma x alpha.
 
     I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu + beta x drag - damping u,     H = h1 a + h3 g
     a' = a x u,   g' = g x u,                                                           u = w - Omega g
 
-The paper has neither drag, with the potential drag.beta, nor damping; with damping the Jacobi integral falls at the rate
-damping u.u.
+The paper has neither drag, with the potential drag.beta, nor damping. With damping the Jacobi integral falls at the
+rate damping u.u.
 
-Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
-is plain arithmetic, which holds for numbers and for arrays of one shape. The source of the functions is
-copied into the kernels, so they may use no imports and only names of this file. A name with a star stands for
-constants that a function does not use.
+Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS. It is plain
+arithmetic, which works for numbers and for arrays of one shape. The source is copied into the kernels. The functions
+may therefore use no imports and only names of this file. A name with a star stands for unused constants.
 
 The equations hold in any unit of time, for an a of any length 1 / a_inv and a g of any length 1 / g_inv. The
-kernels use units in which most factors are 1 (`scaled`); everywhere else a and g are unit vectors.
+kernels use units in which most factors are 1 (`scaled`). Everywhere else a and g are unit vectors.
 """
 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Unit vectors at rest in the orbital frame.
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
-# Body and fields, then combinations of them in the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for
-# an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths, drag by
-# both), and components of rotor, magnet, drag and the damping, divided by a moment of inertia.
+# Body and fields come first, then combinations of the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for an a of
+# length 1, the reciprocal lengths of a and g, and rotor, magnet, drag and damping divided by a moment of inertia. h1, Omega and
+# h3 are divided by the length of a or g, and drag by both lengths.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
@@ -33,18 +32,18 @@ CONSTANTS = (
     "drag3_A", "drag2_A", "drag1_B", "drag3_B", "drag2_C", "drag1_C", "drag1", "drag2", "drag3",
     "damping_A", "damping_B", "damping_C",
 )  # fmt: skip
-# Constants that identify a point only where they are not 0.
+# Constants that identify a point only if they are not 0.
 OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")
-# First integrals: name of the function below, and the power of a rate in its unit.
+# Names of first integrals, which are functions below, with the power of a rate in the unit of each.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
-# First integral that damping changes -> name of the function below for its loss per time.
+# First integrals that damping changes, with the names of the functions below for the loss per time.
 LOSSES = {"jacobi": "jacobi_loss", "axial_momentum": "axial_momentum_loss"}
 
 
 def rhs(state, constants):
-    """Time derivatives of the state."""
+    """Return the time derivatives of the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
@@ -71,10 +70,10 @@ def rhs(state, constants):
 
 
 def scaled(state, constants, h):
-    """State and constants in units in which the time h is 1.
+    """Return state and constants in units in which the time `h` is 1.
 
-    The lengths of a, sqrt(3) Omega h, and g, Omega h, make N and Omega 1. Without an orbit both are so short
-    that they have no effect.
+    N and Omega become 1, because a has the length sqrt(3) Omega h and g has the length Omega h. Without an orbit
+    both vectors are so short that they have no effect.
     """
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
@@ -97,31 +96,31 @@ def scaled(state, constants, h):
 
 
 def unscaled(state, constants, h):
-    """Inverse of `scaled` for the state; the constants are the scaled ones."""
+    """Return a state of `scaled` in the original units. The constants are the scaled constants."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def frame_motion(state, constants):
-    """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g; linear in the state."""
+    """Return the angular velocity relative to the orbital frame, w - Omega g, and g. Both are linear in the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def axis_in_frame(state, constants):
-    """Components of the third body axis along the radius and along the velocity."""
+    """Return the components of the third body axis along the radius and along the velocity."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv * g_inv
 
 
-# First integrals, each as the tuple of its terms, because the change of their sum is compared with their magnitudes.
+# A first integral returns a tuple of terms, because the change of the sum is compared with the magnitudes of the terms.
 
 
 def jacobi(state, constants):
-    """Jacobi integral L2 - L0 + V of (2) and (3) and drag, written in absolute rates."""
+    """Jacobi integral L2 - L0 + V of (2), (3) and drag, written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, *_,
@@ -153,7 +152,7 @@ def length_gamma(state, constants):
 
 
 def length_sum(state, constants):
-    """|alpha + gamma|^2 = 2, that is alpha . gamma = 0 with terms that cannot all vanish."""
+    """|alpha + gamma|^2 = 2. This is alpha . gamma = 0, written with terms that cannot all vanish."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     x, y, z = a1 * a_inv + g1 * g_inv, a2 * a_inv + g2 * g_inv, a3 * a_inv + g3 * g_inv
@@ -161,7 +160,7 @@ def length_sum(state, constants):
 
 
 def axial_momentum(state, constants):
-    """C w3 + k3; only damping changes it if A = B and neither rotor nor magnet has a transverse part."""
+    """C w3 + k3. Without damping it is constant if A = B and neither rotor nor magnet has a transverse part."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, *_ = constants
     return C * w3, k3
@@ -171,7 +170,7 @@ def axial_momentum(state, constants):
 
 
 def jacobi_loss(state, constants):
-    """Loss of `jacobi` per time, damping u.u."""
+    """Return the loss of `jacobi` per time, damping u.u."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, *_, damping_A, damping_B, damping_C = constants
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
@@ -179,7 +178,7 @@ def jacobi_loss(state, constants):
 
 
 def axial_momentum_loss(state, constants):
-    """Loss of `axial_momentum` per time, damping u3."""
+    """Return the loss of `axial_momentum` per time, damping u3."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, *_, damping_A, damping_B, damping_C = constants
     return A * damping_A * (w3 - Omega * g3)

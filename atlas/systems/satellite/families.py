@@ -1,24 +1,24 @@
 """The families of exact steady motions theta = theta0, psi' = n, phi' = m of the satellite.
 
-Together they are all such motions for Omega > 0 without drag. They follow from the equations of motion of (1)-(3) of
-Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by the condition that w' = n gamma + m e3 is a
-solution for all t; `tests/systems/test_satellite_families.py` proves each from those equations. Short names:
-c, s = cos, sin theta0; H = (h1 cos psi0, h3 s - h1 c sin psi0, h3 c + h1 s sin psi0) is the field in
-the axes of the node, where e3 is the third; w3 = (n + Omega) c + m; K = k1 + i k2, U = mu1 + i mu2;
-a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not zero)
+For Omega > 0 and without drag the families contain all such motions. They follow from the equations of motion of (1)-(3)
+of Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by the condition that w' = n gamma + m e3 is a
+solution for all t. `tests/systems/test_satellite_families.py` proves each family from these equations. Short names are
+c = cos theta0, s = sin theta0, w3 = (n + Omega) c + m, K = k1 + i k2, U = mu1 + i mu2 and a = (A + B) / 2. The field in the
+axes of the node, of which e3 is the third, is H = (h1 cos psi0, h3 s - h1 c sin psi0, h3 c + h1 s sin psi0).
+With n = 0, A = B and m not 0, the motion is steady if and only if
 
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
 Drag along the third axis adds drag3 sin psi0 to the right side of the third equation and drag3 c cos psi0 to the right side of
-the last; perp_radius and oblique allow such drag, equilibrium any drag, the other families none. Drag across the axis allows more
-motions, which only the test of the equations finds.
+the last equation. The families perp_radius and oblique allow such drag, equilibrium allows any drag, and the others allow none.
+Drag across the axis allows more motions, which only the test of the equations finds.
 
-`conditions` has the equations, which are solved for parameters in which they are linear. The families overlap; a point belongs
-to the first in the order of FAMILIES. Residuals are divided by scales: largest inertia J, rate
-w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J), momentum J w + |k|, torque w (J w + |k|) + T, T = |mu| |h| + |drag|.
-With Omega = 0 every family below is still exact, but a free or heavy body has more steady motions. With damping a steady
-motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: these motions alone remain.
+The module `conditions` has the equations, which are solved for parameters in which they are linear. The families overlap, and a
+point belongs to the first family in the order of FAMILIES. Residuals are divided by scales of inertia J (the largest moment),
+rate w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J) with T = |mu| |h| + |drag|, momentum J w + |k| and torque
+w (J w + |k|) + T. With Omega = 0 every family is still exact, but a free or heavy body has more steady motions. With damping
+only motions at rest in the orbital frame, w' = 0, remain steady, because the Jacobi integral of all other motions falls.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from . import conditions as the
 from .conditions import field_torque, flatness, node, rest_torque, tilt
 from .initial import body_vectors, directions, initial_state
 
-# State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, see Family.motion; theta_dot0 is taken as 0.
+# State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, as Family.motion. theta_dot0 counts as 0.
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
 
 
@@ -45,17 +45,17 @@ steady_motion = motion_of(about_third_axis, directions, lambda points: points["O
 
 
 def _psi_on_velocity(p: Points) -> Array:
-    """pi/2 or -pi/2 (mod 2 pi), on the side of the given sin psi0; pi/2 for 0."""
+    """Return pi/2 or -pi/2 (mod 2 pi) with the sign of the given sin psi0. The result for 0 is pi/2."""
     return np.pi * (np.floor(p["psi0"] / np.pi) + 0.5)
 
 
 def nearest_pole(name: str, p: Points) -> Array:
-    """The multiple of pi nearest to an angle."""
+    """Return the multiple of pi that is nearest to an angle."""
     return np.pi * np.round(p[name] / np.pi)
 
 
 def _theta(p: Points) -> Array:
-    """Tilt in [0, pi] from k3 and m; where h1 mu3 sin psi0 or drag3 cos psi0 gives several, the one nearest to a wanted tilt, or nan."""
+    """Return the tilt in [0, pi] from k3 and m. If there are several, return the tilt nearest to a wanted tilt, or nan."""
     sp, cp = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
@@ -70,7 +70,7 @@ def _theta(p: Points) -> Array:
 
 
 def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
-    """Zeros in (-pi, pi] of a trigonometric polynomial of degree 2 in one parameter, (4, points); nan for complex ones."""
+    """Return the zeros in (-pi, pi] of a trigonometric polynomial of degree 2, (4, points), with nan for complex zeros."""
     angles = np.arange(8.0).reshape(8, *(1,) * p[name].ndim) * np.pi / 4
     values = function(
         {each: value[None] + 0 * angles for each, value in p.items()} | {name: angles + 0 * p[name]}
@@ -87,9 +87,9 @@ def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
 
 
 def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points) -> Array:
-    """Component of k = base + lambda gamma: k3 with lambda from k1 and k2, k1 and k2 with lambda from k3.
+    """Return a component of k = base + lambda gamma. For k3, k1 and k2 give lambda; for k1 and k2, k3 gives lambda.
 
-    Where gamma3 = 0 lambda does not enter k3, and k1 and k2 determine each other.
+    Where gamma3 = 0, lambda does not enter k3, and k1 and k2 determine each other.
     """
     base, gamma = line(p)
     i, k = int(name[1]) - 1, np.array([p["k1"], p["k2"], p["k3"]])
@@ -104,13 +104,13 @@ def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points
 
 
 def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
-    """A rotor that leaves no torque across the normal, and the normal."""
+    """Return a rotor that leaves no torque across the normal, and the normal."""
     torque, _, gamma = rest_torque(p, with_rotor=False)
     return ratio(cross(torque, gamma), p["Omega"], np.nan), gamma
 
 
 def _psi_oblique(p: Points) -> Array:
-    """psi0 from sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)), with the given sign of cos psi0; with drag3 the nearest root."""
+    """Return psi0 from sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)) on the given side of 0, or with drag3 the nearest root."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
@@ -164,7 +164,7 @@ _TABLE = (
         equations="(27), (28) at theta0 = pi; otherwise derived from (1)-(3)",
         conditions=(the.NO_ROTATION, the.NO_TORQUE_ABOUT_NORMAL, the.NO_TORQUE_ACROSS_NORMAL),
         solve={
-            # -n cos theta0 if the third axis is on the normal; else 0 if n = 0; otherwise there is no solution
+            # m is -n cos theta0 if the third axis is on the normal, and 0 if n = 0. Otherwise there is no solution.
             "m": lambda p: np.where((tilt(p)[0] == 0) | (p["n"] == 0), -p["n"] * tilt(p)[1], np.nan),
             **the.NO_TORQUE_ABOUT_NORMAL.solve("h1"),
             **each(partial(_k_along, _rotor_at_rest), "k3", "k1", "k2"),
@@ -241,7 +241,7 @@ _TABLE = (
         ),
         solve={
             "psi0": _psi_on_velocity,
-            # If sin psi0 h1 (Omega + m c) = m s h3, sin psi0 = +-1, the same k1 and k2 solve both pairs of equations.
+            # With sin psi0 = +-1 and sin psi0 h1 (Omega + m c) = m s h3, the same k1 and k2 solve both pairs of equations.
             **linear(
                 lambda p: (
                     node(p)[0] * p["h1"] * (p["Omega"] + p["m"] * tilt(p)[1]) - p["m"] * tilt(p)[0] * p["h3"]
@@ -266,7 +266,7 @@ _TABLE = (
         solve={
             "m": lambda p: -p["Omega"] * tilt(p)[1],
             **the.FIELD_ACROSS.solve("h1", "h3"),
-            # from the oblique relation; where cos psi0 = 0 mu3 is free and keeps its value
+            # mu3 follows from OBLIQUE_BALANCE. Where cos psi0 = 0, mu3 is free and keeps the given value.
             "mu3": lambda p: np.where(node(p)[1] == 0, p["mu3"], the.OBLIQUE_BALANCE.solve("mu3")["mu3"](p)),
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
@@ -282,11 +282,11 @@ _TABLE = (
             the.SPINNING_PAIR, the.NODE_PAIR, the.TILT_BALANCE,
         ),
         solve={
-            # pi/3 or 2 pi/3, on the side of the given cos theta0
+            # theta0 is pi/3 or 2 pi/3, where cos theta0 has the given sign.
             "theta0": lambda p: np.where(np.cos(p["theta0"]) < 0, 2 * np.pi / 3, np.pi / 3),
             "psi0": _psi_on_velocity,
             **the.ASYMMETRIC_TILT_SPIN.solve("m"),
-            # needed if mu1 or mu2 is not 0
+            # This h1 is needed if mu1 or mu2 is not 0.
             "h1": lambda p: -node(p)[0] * np.sign(tilt(p)[1]) * np.sign(tilt(p)[0]) * np.sqrt(3) * p["h3"],
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
@@ -319,7 +319,7 @@ _TABLE = (
         equations="derived from (1)-(3); not in the paper",
         conditions=(the.NO_SPIN, the.SYMMETRY_ABOUT_NORMAL, the.NO_RADIAL_TORQUE, the.NORMAL_ROTOR),
         solve=each(
-            # a rotor with (n + Omega) k = h3 mu, and the normal
+            # The line starts at a rotor with (n + Omega) k = h3 mu and is along the normal.
             partial(
                 _k_along,
                 lambda p: (ratio(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"], np.nan), directions(p)[1]),
@@ -334,7 +334,7 @@ _TABLE = (
     ),
 )  # fmt: skip
 
-# With damping only motions at rest in the orbital frame remain, which the family "equilibrium" requires anyway.
+# With damping only motions at rest in the orbital frame remain. Motions of the family "equilibrium" are at rest anyway.
 _UNDAMPED = {family.name: () if family.name == "equilibrium" else (the.NO_DISSIPATION,) for family in _TABLE}
 _UNDRAGGED = {
     family.name: () if family.name in ("equilibrium", "perp_radius", "oblique") else (the.NO_DRAG,)
@@ -351,7 +351,7 @@ FAMILIES = numbered(
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: of orbit, body, magnet and drag."""
+    """Return the largest squared rate of orbit, body, magnet and drag at the start."""
     turn = np.maximum(points["Omega"] ** 2, (initial_state(points)[:3] ** 2).sum(0))
     min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
     return np.maximum(turn, field_torque(points) / min_inertia)

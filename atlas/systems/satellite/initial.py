@@ -1,4 +1,4 @@
-"""Parameters of the satellite and its initial state from angles and rates."""
+"""Parameters of the satellite, and the initial state from angles and rates."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ PARAMETERS = {
 
 
 def constants(points: Points) -> Array:
-    """Constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
+    """Return the constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
     p = points
     A, B, C, Omega = p["A"], p["B"], p["C"], p["Omega"]
     k1, k2, k3, mu1, mu2, mu3 = (p[name] for name in ("k1", "k2", "k3", "mu1", "mu2", "mu3"))
@@ -67,7 +67,7 @@ def constants(points: Points) -> Array:
 
 @shared
 def body_vectors(points: Points) -> tuple[Array, Array, Array]:
-    """I, k, mu as arrays of shape (3, points)."""
+    """Return I, k and mu as arrays of shape (3, points)."""
     return tuple(  # type: ignore[return-value]
         np.array([points[name] for name in names])
         for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
@@ -76,12 +76,12 @@ def body_vectors(points: Points) -> tuple[Array, Array, Array]:
 
 @shared
 def drag_vector(points: Points) -> Array:
-    """The torque of drag, arm times force, (3, points)."""
+    """Return the torque of drag, which is arm times force, (3, points)."""
     return np.array([points["drag1"], points["drag2"], points["drag3"]])
 
 
 def body(points: Points) -> Body:
-    """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, drag along the velocity, field h3 mu along the normal."""
+    """Return the body with gravity gradient and h1 mu along the radius, drag along the velocity, h3 mu along the normal."""
     vectors = *body_vectors(points), drag_vector(points)
     inertia, rotor, magnet, drag = (np.moveaxis(vector, 0, -1) for vector in vectors)
     Omega = points["Omega"]
@@ -93,13 +93,13 @@ def body(points: Points) -> Body:
 
 @shared
 def initial_state(points: Points) -> Array:
-    """State at t = 0, shape (9, points): w' = n gamma + m e3 + theta_dot0 about the node, w = w' + Omega gamma."""
+    """Return the state at t = 0, (9, points), where w = (n + Omega) gamma + m e3 + theta_dot0 about the node."""
     alpha, gamma = directions(points)
     return np.concatenate([angular_velocity(points, points["n"] + points["Omega"], gamma), alpha, gamma])
 
 
 def symmetric_about_third_axis(points: Points) -> Mask:
-    """Where A = B and neither rotor, magnet nor drag has a transverse part, bool of shape (points,)."""
+    """Return where A = B and neither rotor, magnet nor drag has a transverse part, bool (points,)."""
     symmetric = points["A"] == points["B"]
     for name in ("k1", "k2", "mu1", "mu2", "drag1", "drag2"):
         symmetric = symmetric & (points[name] == 0)
@@ -107,12 +107,12 @@ def symmetric_about_third_axis(points: Points) -> Mask:
 
 
 def conserves_axial_momentum(points: Points) -> Mask:
-    """Where C w3 + k3 is conserved, bool of shape (points,)."""
+    """Return where C w3 + k3 is conserved, bool (points,)."""
     return symmetric_about_third_axis(points) & (points["damping"] == 0)
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Lower bound of the scale of each integral, nan where it is not constant; see System.integral_scales."""
+    """Return a lower bound of the scale of each integral, or nan, as System.integral_scales."""
     axial = symmetric_about_third_axis(points)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
     scales = dict.fromkeys(INTEGRALS, np.zeros_like(points["A"]))
@@ -121,7 +121,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 @shared
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
+    """Return an upper bound of the fastest frequency, rad per time unit, in the way of Body.frequency_bound.
 
     Damping D adds D I^-1, whose norm is D / least moment, to the block of w, and D Omega I^(-1/2) to the block of gamma.
     """
@@ -133,7 +133,7 @@ def frequency_bound(points: Points) -> Array:
     field = np.hypot(points["h1"], points["h3"])
     moment, rotor, drag = length(mu), length(k), drag_vector(points)
 
-    # Bound of the kinetic energy: start value plus, for each term of the potential, start value minus minimum.
+    # The kinetic energy is at most the start value plus, for each term of the potential, the start value minus the minimum.
     kinetic = 0.5 * (inertia * u**2).sum(0)
     gravity = 1.5 * Omega**2 * ((inertia * alpha**2).sum(0) - inertia.min(0))
     centrifugal = 0.5 * Omega**2 * (inertia.max(0) - (inertia * gamma**2).sum(0))
@@ -144,8 +144,8 @@ def frequency_bound(points: Points) -> Array:
     energy = kinetic + gravity + centrifugal + gyroscopic + magnetic + dragging
     energy = np.maximum(energy, 0.0)
 
-    # Symmetric body without transverse rotor or magnet: C w3 + k3 is conserved, so w3 is constant, its
-    # perturbation decouples, and the bound does not depend on C as a moment of inertia.
+    # If C w3 + k3 is conserved, w3 is constant. The perturbation of w3 then decouples, and the bound does not depend on C as a
+    # moment of inertia.
     symmetric = conserves_axial_momentum(points)
     min_inertia = np.where(symmetric, A, inertia.min(0))
     max_rates = np.sqrt(2 * energy / inertia) + Omega
@@ -164,10 +164,10 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that are 0 without magnet, transverse rotor, orbit, drag or damping, and pairs equal by axial symmetry.
+    """Return the constants that are 0 without some parameters, and pairs of constants that are equal by axial symmetry.
 
-    Each result is a kernel to compile, so some terms stay though they are 0: k3, or D3 with damping and no magnet, cost 3 % of
-    the time, the transverse rotor of an asymmetric body with a magnet 10 %.
+    Each result needs one more kernel, so that some terms stay although they are 0. The term k3, or D3 with damping and no
+    magnet, costs 3 % of the time. The transverse rotor of an asymmetric body with a magnet costs 10 %.
     """
     magnet, drag = {"mu1", "mu2", "mu3", "h1", "h3"}, {"drag1", "drag2", "drag3"}
     rows = (
@@ -185,11 +185,11 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
             }  # fmt: skip
         elif not has_magnet:
             zero_constants |= {"k1", "k2"}
-    # k2 / A, whose name is k2_A, vanishes with k2
+    # Quotients such as k2_A, which is k2 / A, vanish with the numerator.
     quotients = {name for name in CONSTANTS if name.split("_")[0] in zero_constants}
     return zero_constants | quotients, equal_constants
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
-    """sin theta, psi' = n and phi' = m of the steady motion with each start."""
+    """Return sin theta, psi' = n and phi' = m of the steady motion that has each start."""
     return np.sin(points["theta0"]), points["n"], points["m"]

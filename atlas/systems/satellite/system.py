@@ -13,7 +13,7 @@ from . import any_axis, equations, families, initial
 
 
 def _rests(measured: Mapping[str, Array], rate: Array | float) -> Mask:
-    """Where the third axis does not precess."""
+    """Return where the third axis does not precess."""
     return ~(np.abs(measured["psi_dot_mean"]) > rate)
 
 
@@ -96,11 +96,11 @@ class Satellite(Gyrostat):
     )
 
     def possible_start(self, points: Points) -> Mask:
-        """True everywhere: points whose numbers overflow get the status not_finite."""
+        """Return True everywhere. Points whose numbers overflow get the status not_finite."""
         return np.ones(shape_of(points), bool)
 
     def frame_rate(self, points: Points) -> Array:
-        """Angular velocity Omega of the orbit."""
+        """Return the angular velocity Omega of the orbit."""
         return points["Omega"]
 
 

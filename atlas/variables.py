@@ -1,4 +1,4 @@
-"""The one registry of dataset variables: writer, validator, labels, command line, docs and tests read it."""
+"""The only registry of dataset variables, which writer, validator, labels, command line, docs and tests read."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .measure.observables import Observables
 from .measure.rates import Rates
 from .systems.base import NATURAL_RATE, System, derived_variables, time_units
 
-# The instruments of the core, in the order of variables in a file; the first that measures a system is its main instrument.
+# Instruments of the core, in the order of variables in a file. The first instrument that measures a system integrates it.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
 # Dimension of an atlas of points that are not on axes.
 POINT = "point"
-# Variables from theory alone, which also exist where a point is not integrated.
+# Variables from theory alone, which also have values where a point is not integrated.
 PREDICTED = {"predicted", "predicted_inertial", "family", "stable", "growth_rate", "condition_residual"}
-# Variable of refined atlases, which are not integrated at every point.
+# Variable of refined atlases, in which not every point is integrated.
 COMPUTED = Variable(
     "computed", "int8", "1", "where the labels come from",
     {
@@ -33,24 +33,24 @@ COMPUTED = Variable(
 
 
 def instruments() -> tuple[Instrument, ...]:
-    """Every instrument: of the core, then of extensions."""
+    """Return the instruments of the core and then those of extensions."""
     return (*INSTRUMENTS, *extension.every("instruments"))
 
 
 def is_theory(system: System, name: str) -> bool:
-    """Whether a variable is from theory alone, so that it also exists where a point is not integrated."""
+    """Return whether a variable comes from theory alone and so has values where a point is not integrated."""
     proofs = (each.variables(system) for each in instruments() if each.proofs_of)
     listed = PREDICTED | derived_variables(system).keys() | {v.name for part in proofs for v in part}
     return name in listed or name.startswith("predicted_")
 
 
 def is_measured(system: System, name: str) -> bool:
-    """Whether a variable has numbers only at points that are integrated."""
+    """Return whether a variable has numbers only at points that are integrated."""
     return not is_theory(system, name) and data_variables(system)[name].dtype.startswith("float")
 
 
 def proofs_of_labels(system: System | None = None) -> dict[str, str]:
-    """Label variable -> variable whose flag is not 0 where the label is proved for every duration; of all systems or of one."""
+    """Return for each label the variable that is not 0 where the label is proved for every duration, of one or all systems."""
     proofs = {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
     if system is None:
         return proofs
@@ -59,24 +59,24 @@ def proofs_of_labels(system: System | None = None) -> dict[str, str]:
 
 
 def main_instrument(system: System) -> MainInstrument:
-    """The instrument whose kernel integrates a system."""
+    """Return the instrument whose kernel integrates a system."""
     mains = (each for each in INSTRUMENTS if isinstance(each, MainInstrument))
     return next(each for each in mains if each.variables(system))
 
 
 def data_variables(system: System) -> dict[str, Variable]:
-    """Every data variable that a dataset of the system may have; coordinates must not have these names."""
+    """Return every data variable that a dataset of the system may have. Coordinates must not have these names."""
     return {**variables(system), COMPUTED.name: COMPUTED}
 
 
 def variables(system: System) -> Mapping[str, Variable]:
-    """Variables that an atlas of the system can hold, in the order of the file; BadInput if names clash."""
+    """Return the variables of an atlas of the system in the order of the file. Raise BadInput if names clash."""
     return _registry(system, instruments())
 
 
-@lru_cache(maxsize=64)  # a run calls this some thirty times
+@lru_cache(maxsize=64)  # a run calls this function some thirty times
 def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[str, Variable]:
-    """The variables of instruments and of theory by name; BadInput if names clash."""
+    """Return the variables of instruments and of theory by name. Raise BadInput if names clash."""
     listed = [variable for each in instruments for variable in each.variables(system)] + [
         Variable(
             d.name, "int8" if d.flags else "float64", d.unit, d.long_name, dict(d.flags) if d.flags else None,
@@ -106,12 +106,12 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
 
 
 def listed_variables(system: System, names: Collection[str]) -> list[str]:
-    """The named variables of a system, and the variables always stored beside them, in the order of the file."""
+    """Return `names` and the variables that are always stored beside them, in the order of the file."""
     registry = variables(system)
     beside = {registry[name].beside for name in names if name in registry}
     return [name for name in registry if name in names or name in beside]
 
 
 def default_variables(system: System) -> list[str]:
-    """Names of the variables that an atlas holds unless a scene lists others, in the order of the file."""
+    """Return the names of the variables that an atlas holds by default, in the order of the file."""
     return [name for name, variable in variables(system).items() if not variable.optional]

@@ -1,1 +1,1 @@
-"""Theory of one point: functions of numbers, which run as plain Python or compiled, see `compiled`."""
+"""Theory of one point in functions of numbers, which run as plain Python or in machine code (see `compiled`)."""

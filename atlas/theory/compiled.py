@@ -1,4 +1,4 @@
-"""Functions of the theory of one point, with the equations of a system, as plain Python or machine code."""
+"""Bind functions of the theory of one point to the equations of a system, as plain Python or machine code."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ..systems.base import System
 from ..systems.steady import polynomial_degree
 from . import generated
 
-# Largest number of points for which plain Python takes less time than loading machine code.
+# Up to this number of points, plain Python takes less time than loading machine code.
 FEW_POINTS = 100
 
 
 @cache
 def of_system(function: FunctionType, system: System, in_machine_code: bool) -> Callable[..., Any]:
-    """A function of the theory for a system, which needs a `polynomial_degree` if the function uses `generated`."""
+    """Return a theory function for a system, which needs a `polynomial_degree` if the function uses `generated`."""
     with arithmetic.PARSING:
         objects, sources, values = reachable((function,), generated)
         globals_of = [(each.__globals__, each.__code__.co_names) for each in objects.values()]
@@ -41,7 +41,7 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
         lines = {name: repr(value) for name, value in values.items()}
         lines |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}
         tuples = {name: each for name, each in sorted(names.items()) if hasattr(each, "_fields")}
-        # The fields of named tuples are in the text, because the cache would not see that the fields change.
+        # The text contains the fields of named tuples, because the cache would not notice a change of fields otherwise.
         lines |= {f"{name}_FIELDS": repr(each._fields) for name, each in tuples.items()}
         imports = [f"from {each.__module__} import {name}\n" for name, each in tuples.items()]
         text = machine_code.module_text(
@@ -54,14 +54,14 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
     namespace |= arithmetic.numpy_functions() | values
     for name, text in texts.items():
         exec(compile(text, f"<{name} of {system.name}>", "exec"), namespace)
-    # Copies of the functions with other globals and the same code, so that a debugger steps through their files.
+    # The copies have other globals but the same code, so that a debugger steps through the original files.
     namespace |= {name: FunctionType(each.__code__, namespace, name) for name, each in objects.items()}
     return np.errstate(all="ignore")(namespace[function.__name__])
 
 
 @cache
 def _equations(system: System) -> dict[str, str]:
-    """Name -> source of the functions that `generated` declares, and of functions that they call."""
+    """Return by name the source of the functions that `generated` declares, and of functions that these call."""
     equations, texts = system.equations, arithmetic.functions(system.equations)
     places = {name: i for i, name in enumerate(equations.STATE)}
     of_w = [places[name] for name in system.rate_states]
@@ -126,7 +126,7 @@ def _equations(system: System) -> dict[str, str]:
 
 
 class _Sum(ast.NodeTransformer):
-    """Replaces - by + and function values by magnitudes, so that at magnitudes the result is the sum of the magnitudes of the terms."""
+    """Replaces - by + and function values by magnitudes. For positive arguments the result then sums the terms' magnitudes."""
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         self.generic_visit(node)

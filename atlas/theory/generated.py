@@ -1,47 +1,47 @@
-"""The parts of the theory that depend on a system: `compiled` writes them from its equations.
+"""The parts of the theory that depend on a system, which `compiled` writes from the equations of the system.
 
-The signatures, whose bodies are empty here, serve readers, linters and type checkers. Vectors are tuples of three numbers in
-body axes, w is the angular velocity, vectors are the vectors at rest in the frame.
+The functions have empty bodies here and serve readers, linters and type checkers. Vectors are tuples of three numbers in body
+axes. The angular velocity is `w`, and `vectors` are the vectors at rest in the frame.
 """
 
 from __future__ import annotations
 
-DEGREE = 0  # of the right-hand side in the states
-# Ratios p : q in lowest terms of the rates of periodic motions, 1 <= p, q <= 2 DEGREE
+DEGREE = 0  # degree of the right-hand side in the states
+# In a periodic motion two rates have a ratio p : q. These pairs (p, q) have no common factor and are at most 2 DEGREE.
 PERIODS = ((1, 1),)
 
 
 def load_state(block, i):
-    """w and vectors of column i of a block of states."""
+    """Return w and the vectors of column `i` of a block of states."""
 
 
 def load_constants(block, i):
-    """Column i of a block of constants."""
+    """Return column `i` of a block of constants."""
 
 
 def derivatives(w, vectors, constants):
-    """w' and the derivatives of the vectors."""
+    """Return w' and the derivatives of the vectors."""
 
 
 def derivatives_change(w, vectors, constants, dw, changes):
-    """Change of w' to first order in changes of w and of the vectors."""
+    """Return the change of w' to first order in the changes `dw` of w and `changes` of the vectors."""
 
 
 def magnitudes(w, vectors, constants, size):
-    """Magnitudes of the terms of w', plus their changes when w changes by `size` and the vectors by 1."""
+    """Return the magnitudes of the terms of w', plus their changes when w changes by `size` and the vectors by 1."""
 
 
 def frame_motion(w, vectors, constants):
-    """Angular velocity relative to the frame, and the frame's vertical."""
+    """Return the angular velocity relative to the frame, and the frame's vertical."""
 
 
 def frame_motion_change(w, vectors, constants, dw, changes):
-    """Change of the angular velocity relative to the frame to first order in changes of w and of the vectors."""
+    """Return the change of the angular velocity relative to the frame, to first order in `dw` and `changes`."""
 
 
 def rotate_all(vectors, nu, back, s, around):
-    """Vectors turned about nu by the angle with (cosine, sine) `back`, then about s by `around`."""
+    """Return the vectors turned about `nu` by the angle with (cosine, sine) `back`, then about `s` by `around`."""
 
 
 def turn_all(vectors, u):
-    """v x u for every vector v."""
+    """Return v x u for every vector v."""

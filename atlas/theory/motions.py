@@ -1,4 +1,4 @@
-"""Theory of many starts: loops over the functions of one start, with arrays in and out."""
+"""Apply the theory of one start to many starts, in loops whose arguments and results are arrays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .prediction import find, predict, predict_circle, residual_of
 
 
 class Starts(NamedTuple):
-    """Columns of `Body`, one entry for each start of a run."""
+    """Columns of `Body`, with one entry for each start of a run."""
 
     states: Array  # (states, points)
     constants: Array  # (constants, points)
@@ -46,10 +46,10 @@ def find_motions(
     angle_tolerance: float,
     in_machine_code: bool = False,
 ) -> tuple[TwoAxes, SteadyTest]:
-    """Steady motion of each start, or without one the motion about third axis and vertical, and the test of the start by the equations.
+    """Return the steady motion of each start, or else the motion about the third axis and the vertical, and a `SteadyTest`.
 
-    base: before a nudge; points: after it, None: no nudge. Within angle_tolerance (rad) of the vertical only the tilt and the
-    rate about the vertical count. The system has a `polynomial_degree`.
+    The points before a nudge are `base`, and `points` are after the nudge, or None without a nudge. Within `angle_tolerance`
+    (rad) of the vertical only the tilt and the rate about the vertical count. The system needs a `polynomial_degree`.
     """
     before = Starts.of(system, base)
     after, one = before if points is None else Starts.of(system, points), np.ones_like(before.bound)
@@ -63,7 +63,7 @@ def find_motions(
 
 
 def find_starts(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacking, axes, columns):
-    """Write motions into the rows s, m, nu, n of axes, and tests into columns."""
+    """Write motions into the rows s, m, nu, n of `axes`, and tests into `columns`."""
     for i in range(duration.size):
         body, other = body_at(before, i), body_at(after, i)
         motion, test = find(body, other, duration[i], rate_tolerance[i], angle_tolerance, nudged, lacking[i])
@@ -86,9 +86,9 @@ def body_at(starts, i):
 
 @np.errstate(all="ignore")
 def condition_residual(system: System, points: Points) -> Array:
-    """Residual (dimensionless) of a steady motion about the third axis and the vertical at each start, (points,).
+    """Return the dimensionless residual of a steady motion about the third axis and the vertical at each start, (points,).
 
-    Where the theorem does not apply, the residual of the families; nan without families.
+    If the theorem does not apply, the residual of the families is returned, or nan if the system has no families.
     """
     if isinstance(polynomial_degree(system), str):
         return system.identify_family(points)[1] if system.families else np.full(shape_of(points), np.nan)
@@ -114,7 +114,7 @@ def predict_labels(
     nudged: bool,
     in_machine_code: bool = False,
 ) -> StartLabels:
-    """Predicted labels of starts; exact: labels of their exact motions in the system's frame and in inertial space."""
+    """Return predicted labels of starts from labels `exact` of exact motions in the system's frame and in inertial space."""
     one = np.ones_like(test.residual)
     label, inertial, answer = np.empty((3, one.size), np.int8)
     result = StartLabels(label, inertial, answer, np.empty(one.size))
@@ -155,7 +155,7 @@ def predict_circles(
     nudged: bool,
     in_machine_code: bool = False,
 ) -> Flags:
-    """Labels about any axes, see `predict_circle`."""
+    """Return the labels about any axes that `predict_circle` predicts."""
     labels = np.empty(own.shape, np.int8)
     label_all = of_system(label_circles, system, in_machine_code)
     label_all(test, own, exact, answer, stable, near, in_range, nudged, labels)

@@ -1,4 +1,4 @@
-"""A start and a steady motion as tuples of numbers, and vectors as tuples of three."""
+"""A start and a steady motion as tuples of numbers. Vectors are tuples of three numbers."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-Vector: TypeAlias = tuple[float, float, float]  # in body axes
+Vector: TypeAlias = tuple[float, float, float]  # components in body axes
 Value: TypeAlias = Any  # a number for one start, or an array (points,) for many
 
 THIRD = (0.0, 0.0, 1.0)  # the third axis
 
 
 class Motion(NamedTuple):
-    """A motion u = n nu + m s about an axis at rest in the body and an axis at rest in the frame."""
+    """A motion u = n nu + m s about the axis s at rest in the body and the axis nu at rest in the frame."""
 
     s: Vector  # unit vector of the axis at rest in the body
-    m: float  # rate about it, rad per time unit
+    m: float  # rate about s, rad per time unit
     nu: Vector  # unit vector of the axis at rest in the frame, at the start
-    n: float  # rate about it, rad per time unit
+    n: float  # rate about nu, rad per time unit
 
 
 class Body(NamedTuple):
     """A body at the start of a run."""
 
     w: Vector  # angular velocity
-    vectors: tuple[Vector, ...]  # at rest in the frame
-    constants: tuple[float, ...]  # of the equations
+    vectors: tuple[Vector, ...]  # vectors at rest in the frame
+    constants: tuple[float, ...]  # constants of the equations
     rates: Vector  # sin theta, n, m of System.steady_rates
     bound: float  # upper bound of frequencies, rad per time unit
     square: float  # squared unit of rates
@@ -34,27 +34,27 @@ class Body(NamedTuple):
 
 
 class Start(NamedTuple):
-    """A state, and quantities that the equations give for it."""
+    """A state, and quantities that follow from this state by the equations."""
 
     w: Vector  # angular velocity
-    vectors: tuple[Vector, ...]  # at rest in the frame
+    vectors: tuple[Vector, ...]  # vectors at rest in the frame
     slip: float  # sum of |v' - v x u| over the vectors v
     u: Vector  # angular velocity relative to the frame
     frame: Vector  # angular velocity of the frame, w - u
     slope: Vector  # w'
     acceleration: Vector  # u'
-    vertical: Vector  # of the frame
+    vertical: Vector  # vertical of the frame
 
 
 class SteadyTest(NamedTuple):
-    """Test of a start by the equations, before a nudge unless a comment says otherwise."""
+    """Test of a start by the equations. The start is before a nudge unless a comment says otherwise."""
 
     answer: Value  # value of Existence
     elsewhere: Value  # whether the start is a steady motion about other axes than the third and the vertical
     may_be_member: Value  # whether the start may be on a family
     kept: Value  # whether the nudged start is a steady motion as exactly as rounding allows
     pushed: Value  # whether a nudge moved the start off the motions about the third axis and the vertical
-    residual: Value  # of a steady motion about the third axis and the vertical, after a nudge
+    residual: Value  # residual of a steady motion about the third axis and the vertical, after a nudge
     change: Value  # largest change of the rates of a steady motion by a nudge, in tolerances
     away: Value  # departure of the nudged start from a steady motion, in tolerances
 
@@ -62,12 +62,12 @@ class SteadyTest(NamedTuple):
 class Membership(NamedTuple):
     """Test of a start by the families."""
 
-    varies: Value  # whether its motion turns about the vertical at a varying rate
-    elsewhere: Value  # whether its motion is about other axes than the third and the vertical
-    residual: Value  # condition residual of its family before a nudge, inf without a family
-    nudged_residual: Value  # condition residual of its family after a nudge
+    varies: Value  # whether the motion turns about the vertical at a varying rate
+    elsewhere: Value  # whether the motion is about other axes than the third and the vertical
+    residual: Value  # condition residual of the family before a nudge, inf without a family
+    nudged_residual: Value  # condition residual of the family after a nudge
     stable: Value  # value of Stability
-    growth: Value  # logarithm of the growth of a distance from the motion over the run; nan: unknown
+    growth: Value  # logarithm of the growth of a distance from the motion over the run; nan if unknown
 
 
 class StartLabels(NamedTuple):
@@ -76,7 +76,7 @@ class StartLabels(NamedTuple):
     label: Value  # value of Label, in the system's frame
     inertial: Value  # value of Label, in inertial space
     answer: Value  # value of Existence
-    growth: Value  # logarithm of the growth of a distance; 0: unknown or irrelevant
+    growth: Value  # logarithm of the growth of a distance; 0 if unknown or irrelevant
 
 
 def dot(a, b):
@@ -88,12 +88,12 @@ def cross(a, b):
 
 
 def cross_sum(a, b):
-    """Vector product with plus signs; for magnitudes, the sum of the magnitudes of the terms."""
+    """Return the vector product with plus signs. For magnitudes it sums the magnitudes of the terms."""
     return a[1] * b[2] + a[2] * b[1], a[2] * b[0] + a[0] * b[2], a[0] * b[1] + a[1] * b[0]
 
 
 def times(a, b):
-    """The products of the components."""
+    """Return the products of the components."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
@@ -122,13 +122,13 @@ def length(a):
 
 
 def unit(a, otherwise):
-    """Vector divided by its length; `otherwise` if the length is 0."""
+    """Return a vector divided by its length, or `otherwise` if the length is 0."""
     size = length(a)
     return otherwise if size == 0.0 else divided(a, size)
 
 
 def rotate(a, axis, cosine, sine):
-    """A vector after a turn about a unit vector, by Rodrigues' formula."""
+    """Return a vector turned about the unit vector `axis`, by Rodrigues' formula."""
     along, across = dot(axis, a) * (1 - cosine), cross(axis, a)
     return (
         cosine * a[0] + sine * across[0] + along * axis[0],
@@ -138,39 +138,39 @@ def rotate(a, axis, cosine, sine):
 
 
 def over(value, scale):
-    """value / scale, 0 where the scale is 0."""
+    """Return value / scale, or 0 if the scale is 0."""
     return 0.0 if scale == 0 else value / scale
 
 
 def larger(a, b):
-    """The larger number; nan if one is nan."""
+    """Return the larger number, or nan if a number is nan."""
     return a if a != a or a > b else b
 
 
 def smaller(a, b):
-    """The smaller number; nan if one is nan."""
+    """Return the smaller number, or nan if a number is nan."""
     return a if a != a or a < b else b
 
 
 def greatest(a):
-    """The largest component, nan where one is nan."""
+    """Return the largest component, or nan if a component is nan."""
     return larger(a[0], larger(a[1], a[2]))
 
 
 def smallest(a):
-    """The smallest component, nan where one is nan."""
+    """Return the smallest component, or nan if a component is nan."""
     return smaller(a[0], smaller(a[1], a[2]))
 
 
 def fmax(a, b):
-    """The larger number; if one is nan, the other one."""
+    """Return the larger number. If only one number is nan, return the other number."""
     if a != a:
         return b
     return b if b > a else a
 
 
 def fmin(a, b):
-    """The smaller number; if one is nan, the other one."""
+    """Return the smaller number. If only one number is nan, return the other number."""
     if a != a:
         return b
     return b if b < a else a

@@ -1,18 +1,18 @@
-"""Prediction of theory for one start, by these rules in this order (docs/methods.md has the reasons):
+"""Predict labels of one start by these rules, in this order (docs/methods.md has the reasons):
 
-1. Beyond the range of the formulas nothing is predicted.
-2. The equations classify the start before a nudge (`steady`): exactly a steady motion, far from all of them, or near one.
-3. A start on a family in the plane is exact, if it is nudged or on the family to rounding, whatever the equations say.
-4. A far start drifts, a near one has no label, an exact one has the label of its exact statistics.
-5. After a nudge that leads to no other steady motion, a stable motion keeps its label, an unstable one drifts, others lose it.
-6. After a nudge that leads far from every steady motion a start drifts, also a near one; if the nudge changes rates by more than
-   KEPT tolerances, the label is lost. This does not hold for motions in the plane and beyond the range.
+1. Nothing is predicted beyond the range of the formulas.
+2. The equations say whether the start before a nudge is exactly on, near, or far from a steady motion (`steady`).
+3. A start on a family in the plane is exact if it is nudged or if rounding explains the residual, whatever the equations say.
+4. A far start drifts, a near start has no label, and an exact start has the label of the exact statistics.
+5. If a nudge leads to no other steady motion, a stable motion keeps the label, an unstable motion drifts, and others lose it.
+6. If a nudge leads far from every steady motion, even a near start drifts. If a nudge changes rates by more than KEPT tolerances,
+   the label is lost. This does not hold for motions in the plane and beyond the range.
 7. Growth does not change the label of a motion in the plane that drifts.
 8. Growth begins at the residual of the equations, but in the plane and about other axes at the residual of the family.
-9. Without a nudge, an exact start whose residual grows beyond the tolerances becomes near; it keeps no label but drifting.
-10. Labels about any axes follow from the answer after 3 and 9.
+9. Without a nudge, an exact start whose residual grows beyond the tolerances becomes near and loses any label but drifting.
+10. Labels about any axes follow from the answer after rules 3 and 9.
 
-`find` is 1 and 2, `predict` 3 to 9, `predict_circle` 10.
+The function `find` applies rules 1 and 2, `predict` applies rules 3 to 9, and `predict_circle` applies rule 10.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from .steady import (
     steady_motion,
 )
 
-# Largest residual (dimensionless) of a steady motion that rounding explains; rounding changes a larger one by less than 1 %.
+# Rounding explains a dimensionless residual of a steady motion up to this value. It changes larger residuals by less than 1 %.
 ROUNDING_RESIDUAL = 1e-13
-# Residual above which a start is on no family about the third axis and the vertical.
+# A start with a larger residual is on no family about the third axis and the vertical.
 NEARBY = 1e-6
-# Largest change of rates by a nudge, in tolerances, with which a stable motion keeps its label.
+# A stable motion keeps the label if a nudge changes the rates by at most this many tolerances.
 KEPT = 1 / 3
 
 
 def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks_theory):
-    """Steady motion of a start, or without one the motion about third axis and vertical, and the test of the start by the equations.
+    """Return the steady motion of a start, or else the motion about the third axis and the vertical, and a `SteadyTest`.
 
-    lacks_theory: whether the start may be on a family of a missing extension.
+    If `lacks_theory` is true, the start may be on a family of a missing extension.
     """
     answer, motion = steady_motion(
         before.w, before.vectors, before.constants, before.rates, before.bound, duration, rate_tolerance, angle_tolerance
@@ -59,7 +59,7 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
     may_be_member = nudged or answer != Existence.FAR or residual <= NEARBY or upright
     kept, pushed, change, away = not nudged, False, 0.0, 0.0
     if nudged:
-        # Only a start with a residual of at most FAMILY_TOLERANCE may be on a steady motion again.
+        # Only a start with a residual of at most FAMILY_TOLERANCE may be on a steady motion after the nudge.
         beside = residual <= FAMILY_TOLERANCE
         start = start_on_axis(after.w, after.vectors, after.constants, after.rates)
         if elsewhere or beside:
@@ -72,10 +72,10 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
 
 
 def residual_of(body):
-    """Residual (dimensionless) of a steady motion about the third axis and the vertical, 0 on an exact one.
+    """Return the dimensionless residual of a steady motion about the third axis and the vertical, 0 for an exact motion.
 
-    The larger of |u' - n m gamma x e3| / unit^2, u the angular velocity relative to the frame, and the part of u - n gamma across
-    e3, divided by unit, the unit of rates. Near the vertical a smaller residual of a rotation about e3 replaces the first.
+    Let u be the angular velocity relative to the frame. The residual is the larger of |u' - n m gamma x e3| and of the part of
+    u - n gamma across e3, in units of rates. On the vertical, a smaller residual of a rotation about e3 replaces the first term.
     """
     _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
@@ -92,10 +92,10 @@ def residual_of(body):
 
 
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
-    """Largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
+    """Return the largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
 
-    The departure bounds the oscillation of rates from below; the oscillation of psi' may be larger by 1 / sin(theta). Inside the
-    cone the change of the angular velocity counts instead. start: of `after`.
+    The departure is a lower bound of the oscillation of rates, but psi' may oscillate by 1 / sin(theta) times as much. Within
+    `angle_tolerance` of the vertical the change of the angular velocity counts instead. The argument `start` belongs to `after`.
     """
     motion = motion_about_third(start, after.rates)
     away = departure(start, after.constants, motion, after.bound, duration, rate_tolerance, angle_tolerance)
@@ -110,9 +110,9 @@ def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
 def predict(
     test, membership, exact, exact_inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations
 ):
-    """Labels that theory predicts for a start.
+    """Return the labels that theory predicts for a start.
 
-    exact, exact_inertial: labels of the exact motion, by its statistics; by_equations: whether `find` tested the equations.
+    The labels `exact` and `exact_inertial` belong to the exact motion. If `by_equations` is true, `find` tested the equations.
     """
     answer = test.answer
     if membership.varies and (nudged or membership.residual <= ROUNDING_RESIDUAL):
@@ -133,7 +133,7 @@ def predict(
 
 
 def label_of(test, membership, answer, exact, nudged):
-    """Label of a start in one frame, without rule 9 on growth."""
+    """Return the label of a start in one frame, without rule 9 on growth."""
     if answer == Existence.EXACT:
         label = after_nudge(exact, membership.stable) if test.pushed else exact
     else:
@@ -146,14 +146,15 @@ def label_of(test, membership, answer, exact, nudged):
 
 
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
-    """Label about any axes: of the exact motion about other axes, else `own`; near a circle, drifting is not predicted.
+    """Return the label about any axes, which is `exact` for an exact motion about other axes, and else `own`.
 
-    own, answer: from `predict`; exact: label of the circle of the exact motion; near: whether the start may stay on a circle.
+    `own` and `answer` come from `predict`, and `exact` is the label of the circle of the exact motion. Drifting is not predicted
+    if `near` is true, which says that the start may stay on a circle.
     """
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:
         label = after_nudge(exact, stable) if nudged and not test.kept else exact
-    # Beside a stable motion about the third axis a nudge may lead to a motion about other axes.
+    # A nudge of a stable motion about the third axis may lead to a motion about other axes.
     beside = elsewhere or not nudged or stable != Stability.STABLE
     if label != Label.DRIFTING or (answer == Existence.EXACT and beside) or not in_range or not near:
         return label
@@ -161,15 +162,15 @@ def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
 
 
 def after_nudge(label, stable):
-    """Label of a nudged start near a steady motion with this label and stability."""
+    """Return the label of a nudged start near a steady motion with the given label and stability."""
     if label == Label.DRIFTING or stable == Stability.STABLE:
         return label
     return Label.DRIFTING if stable == Stability.UNSTABLE else Label.NOT_COMPUTED
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Logarithm of the growth with which the residual of a steady start, or rounding if larger, reaches a tolerance.
+    """Return the logarithm of the growth by which the residual of a steady start, or a larger rounding error, reaches a tolerance.
 
-    Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
+    Rounding errors of rates are relative to the frequency bound, and rounding errors of angles are relative to 1.
     """
     return np.log(np.minimum(rate_tolerance / bound, angle_tolerance) / np.fmax(residual, ROUNDING))

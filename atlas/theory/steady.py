@@ -1,28 +1,28 @@
-"""Steady motions by the equations of motion alone: whether a start is one, about which axes and at which rates.
+"""Decide from the equations of motion whether a start is a steady motion, about which axes and at which rates.
 
-A body in a frame has as states an angular velocity w and vectors v at rest in the frame, v' = v x u, where u is the rotation
-relative to the frame and w - u the rotation of the frame. A steady motion u = n nu + m s has an axis s at rest in the body and an
-axis nu at rest in the frame. Seen from the body nu turns about s at -m, so that u' = n m nu x s and u'' = m u' x s:
+The states of a body in a frame are an angular velocity w and vectors v at rest in the frame. They obey v' = v x u, where u is the
+rotation relative to the frame and w - u is the rotation of the frame. A steady motion u = n nu + m s has an axis s at rest in the
+body and an axis nu at rest in the frame. Seen from the body, nu turns about s at -m, so that u' = n m nu x s and u'' = m u' x s.
 
-- with s known, m = u'.(u x s) / |u x s|^2 and n nu = u - m s;
-- with nu known, n = u'.(nu x u) / |nu x u|^2 and m s = u - n nu;
-- with neither known, s is along u' x u''.
+- If s is known, m = u'.(u x s) / |u x s|^2 and n nu = u - m s.
+- If nu is known, n = u'.(nu x u) / |nu x u|^2 and m s = u - n nu.
+- If neither is known, s is along u' x u''.
 
 **Theorem.** Let the right-hand side be a polynomial of degree d in the states. Along a candidate every state is a
-trigonometric polynomial of degree 1 in each of the phases n t and m t, and the residual, w' of the equations minus w' of the
-candidate, is one of degree d: a sum over the frequencies k n + l m, |k|, |l| <= d. Where n : m = p : q in lowest terms, with
-|p|, |q| <= 2 d, the motion is periodic, the residual has degree d (|p| + |q|) in its phase, and it vanishes for all time if and
-only if it vanishes at N = 2 d (|p| + |q|) + 1 equidistant instants, a discrete Fourier transform of condition 1. At any other
-n : m no two frequencies coincide, so that the residual must vanish on the whole torus of the phases. For this the line of
-direction 1 : 2 d + 1 suffices: the numbers k + (2 d + 1) l differ, and N = (2 d + 1)^2 instants decide. Where n or m is 0, or
-every vector is along nu, one phase is left: p or q is 0. Between the nodes the residual is at most 3.6 times its largest value at
+trigonometric polynomial of degree 1 in each of the phases n t and m t. The residual is w' of the equations minus w' of the
+candidate. It has degree d and is a sum over the frequencies k n + l m with |k|, |l| <= d. If n : m = p : q in lowest terms with
+|p|, |q| <= 2 d, the motion is periodic and the residual has degree d (|p| + |q|) in the phase of the motion. It vanishes for all
+time if and only if it vanishes at N = 2 d (|p| + |q|) + 1 equidistant instants, whose Fourier transform has condition 1. At any
+other n : m no two frequencies coincide, and the residual must vanish on the whole torus of the phases. The line of direction
+1 : 2 d + 1 then suffices. The numbers k + (2 d + 1) l differ, so that N = (2 d + 1)^2 instants decide. If n or m is 0, or every
+vector is along nu, one phase is left and p or q is 0. Between the nodes the residual is at most 3.6 times the largest value at
 the nodes for d = 2.
 
-A ratio within RATIO of p : q counts as p : q; the torus would give another result only after a time of 1 / (RATIO n).
+A ratio within RATIO of p : q counts as p : q. The torus would give another result only after a time of 1 / (RATIO n).
 
-The residual counts as 0 where each component is at most TERM_ROUNDING times the magnitudes of its terms (the right-hand side with
-every difference replaced by a sum) and of their changes by errors of the states: fast spins do not loosen the test. Axes from
-derivatives have larger errors, by the cancellation in u'.
+The residual counts as 0 if each component is at most TERM_ROUNDING times the sum of the magnitudes of all terms (the right-hand
+side with every difference replaced by a sum) and of their changes by errors of the states. Fast spins thus do not loosen the
+test. Axes from derivatives have larger errors, because terms of u' cancel.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ from .point import (
     unit,
 )
 
-# A difference of rates below this fraction of the rates is rounding.
+# A difference of rates below this fraction of the rates is a rounding error.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
-# Largest error of axes from derivatives, in units of rounding, by which the test of the residual is widened.
+# Errors of axes from derivatives widen the test of the residual if they are below this value, in units of rounding.
 MAX_ERROR = 1e4
-# First-order change of rates, in tolerances, above which a start is far from every steady motion: among 30 000 starts beside
-# steady motions no start with a steady label had a change above 2.4.
+# A start is far from every steady motion if the first-order change of rates exceeds this many tolerances. Among 30 000 starts
+# near steady motions, no start with a steady label had a change above 2.4.
 FAR = 5.0
 CANDIDATES = 4
 
@@ -75,15 +75,15 @@ CANDIDATES = 4
 class Existence(IntEnum):
     """Whether a start is a steady motion."""
 
-    NEAR = 0  # cannot be told from a steady motion within rounding or the tolerances of labels
+    NEAR = 0  # no difference from a steady motion within rounding or the tolerances of labels
     EXACT = 1  # a steady motion, as exactly as rounding allows
-    FAR = 2  # its rates vary by more than the tolerance
+    FAR = 2  # rates vary by more than the tolerance
 
 
 def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance, angle_tolerance):
-    """Value of Existence of a start, and its steady motion, or without one the motion about the third axis and the vertical.
+    """Return the Existence of a start, and the steady motion, or else the motion about the third axis and the vertical.
 
-    rates: (sin theta, n, m) of System.steady_rates; bound: of frequencies.
+    The argument `rates` is (sin theta, n, m) of System.steady_rates, and `bound` is the frequency bound.
     """
     start = start_on_axis(w, vectors, constants, rates)
     is_exact, motion = exact_motion(start, constants, rates, bound)
@@ -94,7 +94,7 @@ def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance,
 
 
 def exact_motion(start, constants, rates, bound):
-    """Whether a start is a steady motion to rounding, and this motion, else the motion about the third axis and the vertical."""
+    """Return True and the motion if a start is steady within rounding, else False and the motion about e3 and the vertical."""
     about_third = motion_about_third(start, rates)
     if is_beside(start, about_third, bound) and is_steady(start, constants, about_third, bound, False):
         return True, about_third
@@ -102,7 +102,7 @@ def exact_motion(start, constants, rates, bound):
         second = second_derivative(start, constants)
         for which in range(CANDIDATES):
             motion = candidate(which, start, second, bound)
-            # Rates far above the bound cancel in u, with errors as large as u.
+            # Rates far above the bound cancel in u and leave errors as large as u.
             near = fmax(abs(motion.m), abs(motion.n)) <= 8 * bound and is_beside(start, motion, bound)
             if near and is_steady(start, constants, motion, bound, True):
                 return True, motion
@@ -119,7 +119,7 @@ def start_at(w, vectors, constants):
 
 
 def start_on_axis(w, vectors, constants, rates):
-    """The start; on the vertical, transverse rates that are rounding errors of a fast precession are removed."""
+    """Return the start, on the vertical without transverse rates that are rounding errors of a fast precession."""
     start, (sine, n, _) = start_at(w, vectors, constants), rates
     if abs(sine) <= TERM_ROUNDING and np.hypot(start.u[0], start.u[1]) <= TERM_ROUNDING * abs(n):
         return start_at((w[0] - start.u[0], w[1] - start.u[1], w[2]), vectors, constants)
@@ -127,7 +127,7 @@ def start_on_axis(w, vectors, constants, rates):
 
 
 def motion_about_third(start, rates):
-    """The motion about the third axis and the vertical; its rates are 0 where they are rounding errors of the angular velocity."""
+    """Return the motion about the third axis and the vertical. Rates that are rounding errors of w become 0."""
     sine, n, m = rates
     g = start.vertical
     x, y, z = plus(magnitude(start.w), magnitude(start.frame))
@@ -140,9 +140,9 @@ def motion_about_third(start, rates):
 
 
 def candidate(which, start, second, bound):
-    """Candidate for the motion from u, u', u''; which: 0 one axis, 1 nu is vertical, 2 s is the third axis, 3 neither.
+    """Return a candidate for the motion from u, u' and `second`, which is u''.
 
-    second: u''.
+    The number `which` says what is assumed: 0 one axis, 1 nu is vertical, 2 s is the third axis, 3 neither of these.
     """
     u, first, g = start.u, start.acceleration, start.vertical
     least = TERM_ROUNDING * (length(u) + length(start.frame))
@@ -171,7 +171,7 @@ def candidate(which, start, second, bound):
 
 
 def rate_about(turn, u, first, least):
-    """Rate r for which r * turn is nearest to u', 0 within rounding; nan where u is along the axis."""
+    """Return the rate r for which r * turn is nearest to u', 0 within rounding, or nan if u is along the axis."""
     if not length(turn) > GATE * length(u):
         return np.nan
     value = dot(first, turn) / dot(turn, turn)
@@ -179,7 +179,7 @@ def rate_about(turn, u, first, least):
 
 
 def rest_of(start, motion):
-    """u and u' of a start minus their values in a motion."""
+    """Return u and u' of a start minus the values of u and u' in a motion."""
     s, m, nu, n = motion
     u = minus(minus(start.u, scaled(n, nu)), scaled(m, s))
     return u, minus(start.acceleration, scaled(n * m, cross(nu, s)))
@@ -191,9 +191,9 @@ def is_beside(start, motion, bound):
 
 
 def is_steady(start, constants, motion, bound, derived):
-    """Whether the residual vanishes at all nodes of a candidate.
+    """Return whether the residual vanishes at all nodes of a candidate.
 
-    derived: whether the axes come from derivatives, whose errors widen the test.
+    If `derived` is true, the axes come from derivatives, and their errors widen the test.
     """
     s, m, nu, n = motion
     rate, _ = rest_of(start, motion)
@@ -204,7 +204,7 @@ def is_steady(start, constants, motion, bound, derived):
     p, q = phases(start, motion)
     nodes = 2 * DEGREE * (p + q) + 1
     terms = (0.0, 0.0, 0.0)
-    # From the last node back: there both phases have changed, so that most candidates fail at once.
+    # The last node is tested first, because both phases have changed there and most candidates fail at once.
     for j in range(1, nodes + 1):
         angle = -2 * math.pi * j / nodes
         residual = residual_at(start, constants, motion, np.sign(n) * p * angle, np.sign(m) * q * angle)
@@ -223,7 +223,7 @@ def is_steady(start, constants, motion, bound, derived):
 
 
 def phases(start, motion):
-    """p and q, the direction of the line of phases on which the residual is tested."""
+    """Return p and q, the direction of the line of phases on which the residual is tested."""
     _, m, nu, n = motion
     loose = 0.0
     for i in range(len(start.vectors)):
@@ -242,7 +242,7 @@ def phases(start, motion):
 
 
 def residual_at(start, constants, motion, alpha, beta):
-    """Magnitude of the residual of the equations at phases of n t and m t; infinite where v' = v x u fails."""
+    """Return the magnitude of the residual at the phases `alpha` of n t and `beta` of m t, or inf if v' = v x u fails."""
     s, m, nu, n = motion
     back, around = (math.cos(alpha), -math.sin(alpha)), (math.cos(beta), -math.sin(beta))
     fixed = rotate(nu, s, around[0], around[1])
@@ -256,7 +256,7 @@ def residual_at(start, constants, motion, alpha, beta):
 
 
 def rounding(start, constants, motion):
-    """Magnitudes of the terms of a residual, plus their changes by errors of the states of relative size 1."""
+    """Return the magnitudes of the terms of a residual, plus their changes by relative errors 1 of the states."""
     s, nu, frame = magnitude(motion.s), magnitude(motion.nu), magnitude(start.frame)
     m, n = abs(motion.m), abs(motion.n)
     base = n + length(frame)
@@ -266,7 +266,7 @@ def rounding(start, constants, motion):
 
 
 def second_derivative(start, constants):
-    """u''."""
+    """Return u''."""
     bend = derivatives_change(
         start.w, start.vectors, constants, start.slope, turn_all(start.vectors, start.u)
     )
@@ -275,14 +275,14 @@ def second_derivative(start, constants):
 
 
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
-    """First-order change of theta', psi' and phi', in tolerances; in the cone, of the tilt and the rate about the vertical.
+    """Return the first-order change of theta', psi' and phi', in tolerances, or near the vertical of tilt and vertical rate.
 
-    motion: about the third axis and the vertical. A deviation x from this motion obeys x' = A x + f at first, and an oscillation no
-    faster than the bound changes rates by at least |f| / bound, unless it is damped.
+    The motion is about the third axis and the vertical. A deviation x from this motion obeys x' = A x + f at first. If the
+    oscillation is not damped and no faster than the bound, it changes rates by at least |f| / bound.
     """
     s, m, g, n = motion
     inside = np.hypot(g[0], g[1]) < angle_tolerance
-    if inside:  # n and m are not unique; with n = 0 the axes rest in the frame
+    if inside:  # n and m are not unique, and with n = 0 the axes rest in the frame
         m, n = start.u[2], 0.0
     offset, f = rest_of(start, Motion(s, m, g, n))
     time = fmin(1 / bound, duration)
@@ -298,7 +298,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
 
 
 def undamped(start, constants, duration):
-    """Square root of the fraction of a run before an oscillation is damped, by the divergence of the equations."""
+    """Return the root of the fraction of a run before an oscillation is damped, from the divergence of the equations."""
     still = turn_all(start.vectors, (0.0, 0.0, 0.0))
     divergence = 0.0
     for i in range(3):

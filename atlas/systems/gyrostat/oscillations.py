@@ -61,7 +61,7 @@ class Equilibria(NamedTuple):
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
         """Return the equilibria among motions whose vectors at the start are `w`, `alpha` and `gamma`, (points, 3).
 
-        Where the axis of symmetry is vertical and nothing acts along alpha, the frame is at rest in space if `from_space` is true.
+        Where the axis of symmetry is vertical and nothing acts along alpha, the frame rests in space if `from_space` is true.
         Otherwise the axis has two equally fast oscillations in the frame, and the energy has its largest minimum.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)

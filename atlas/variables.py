@@ -16,7 +16,7 @@ from .measure.observables import Observables
 from .measure.rates import Rates
 from .systems.base import NATURAL_RATE, System, derived_variables, time_units
 
-# Instruments of the core, in the order of variables in a file. The first instrument that measures a system integrates it.
+# Instruments of the core, in the order of variables in a file. The first that measures a system is the main instrument.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
 # Dimension of an atlas of points that are not on axes.
 POINT = "point"
@@ -50,7 +50,7 @@ def is_measured(system: System, name: str) -> bool:
 
 
 def proofs_of_labels(system: System | None = None) -> dict[str, str]:
-    """Return for each label the variable that is not 0 where the label is proved for every duration, of one or all systems."""
+    """Return for each label of one or all systems the variable that is not 0 where the label is proved for every duration."""
     proofs = {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
     if system is None:
         return proofs

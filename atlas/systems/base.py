@@ -124,7 +124,7 @@ class Family:
     # Text on the default solution of each parameter with several solutions, or of each rate from which start values are solved.
     # For the solution nearest to a value, points hold the value under the name and under NEAR + name; inf asks for the largest.
     several: Mapping[str, str] = field(default_factory=dict)
-    # Functions that return flags.Stability and growth rates (rad per time unit); `rough_stability` computes fewer digits.
+    # Functions of points that return flags.Stability and growth rates, rad per time unit. `rough_stability` has fewer digits.
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
     rough_stability: Callable[[Points], tuple[Flags, Array]] | None = None
     stability_text: str = ""  # text for the catalogue on what decides the stability
@@ -184,7 +184,7 @@ class DerivedVariable:
     check: Callable[[Points, Array], object] = lambda points, duration: None
     # Sentences by name for int8 flags, in the order of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
-    from_start: bool = False  # True: describes the motion from the start, so it is refused with a transient
+    from_start: bool = False  # whether values describe the motion from the start, which excludes a transient
     # Function for several variables. Variables that share intermediate results have the same function here.
     group_values: GroupValues | None = None
 
@@ -575,7 +575,7 @@ def within_range(system: System, points: Points) -> Mask:
 
 @cache
 def families_of(system: System) -> Mapping[str, Family]:
-    """Return families by name. Families of the system precede those of extensions, for which flags and titles are reserved."""
+    """Return families of the system and then of extensions by name. Extensions of this package have reserved flags."""
     added: dict[str, Family] = {}
     for families in extension.every("families", lambda name: owner_of_family(name) in ("", system.name)):
         added |= families(system)
@@ -741,7 +741,7 @@ def shape_of(points: Points) -> tuple[int, ...]:
 
 
 def unsteady(system: System, flags: Flags) -> Mask:
-    """Return where `flags` are those of families that turn about the vertical at a varying rate, (points,)."""
+    """Return where the motions of a family turn about the vertical at a varying rate, (points,)."""
     return np.isin(flags, [each.flag for each in families_of(system).values() if each.rate_std])
 
 

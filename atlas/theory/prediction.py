@@ -74,8 +74,8 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
 def residual_of(body):
     """Return the dimensionless residual of a steady motion about the third axis and the vertical, 0 for an exact motion.
 
-    Let u be the angular velocity relative to the frame. The residual is the larger of |u' - n m gamma x e3| and of the part of
-    u - n gamma across e3, in units of rates. On the vertical, a smaller residual of a rotation about e3 replaces the first term.
+    Let u be the angular velocity relative to the frame and U the unit of rates. The residual is |u' - n m gamma x e3| / U^2 or,
+    if larger, |u - n gamma| across e3 over U. On the vertical, a smaller residual of a rotation about e3 replaces the first term.
     """
     _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
@@ -148,8 +148,8 @@ def label_of(test, membership, answer, exact, nudged):
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
     """Return the label about any axes, which is `exact` for an exact motion about other axes, and else `own`.
 
-    `own` and `answer` come from `predict`, and `exact` is the label of the circle of the exact motion. Drifting is not predicted
-    if `near` is true, which says that the start may stay on a circle.
+    `own` and `answer` come from `predict`, and `exact` is the label of the circle of the exact motion. If `near` is
+    true, the start may stay on a circle, and drifting is predicted only for exact motions.
     """
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:

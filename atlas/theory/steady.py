@@ -142,7 +142,7 @@ def motion_about_third(start, rates):
 def candidate(which, start, second, bound):
     """Return a candidate for the motion from u, u' and `second`, which is u''.
 
-    The number `which` says what is assumed: 0 one axis, 1 nu is vertical, 2 s is the third axis, 3 neither of these.
+    The number `which` says what is assumed: 0 one axis, 1 nu is vertical, 2 s is the third axis, 3 none of these.
     """
     u, first, g = start.u, start.acceleration, start.vertical
     least = TERM_ROUNDING * (length(u) + length(start.frame))
@@ -275,10 +275,11 @@ def second_derivative(start, constants):
 
 
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
-    """Return the first-order change of theta', psi' and phi', in tolerances, or near the vertical of tilt and vertical rate.
+    """Return the first-order change of theta', psi' and phi', in tolerances.
 
-    The motion is about the third axis and the vertical. A deviation x from this motion obeys x' = A x + f at first. If the
-    oscillation is not damped and no faster than the bound, it changes rates by at least |f| / bound.
+    In the cone around the vertical it is the change of the tilt and of the rate about the vertical. A deviation x from `motion`,
+    which is about the third axis and the vertical, obeys x' = A x + f at first. An undamped oscillation that is no faster than
+    `bound` then changes rates by at least |f| / bound.
     """
     s, m, g, n = motion
     inside = np.hypot(g[0], g[1]) < angle_tolerance

@@ -81,10 +81,7 @@ def _fast_torque(points: Points) -> Array:
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
-    """Return (C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, which is 0 on a conical motion.
-
-    If given, `n` and `cosine` replace the values of the points.
-    """
+    """Return (C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0. `n` and `cosine` may replace the values of the points."""
     Mg, N = fields(points)
     _, own, m = rates(points)
     n, c = own if n is None else n, vertical(points)[2] if cosine is None else cosine

@@ -238,7 +238,7 @@ def frequency_bound(points: Points) -> Array:
     fixed, damping = conserves_axial_momentum(points), points["damping"]
     moment = length(weight)
 
-    # Twice the kinetic energy grows by at most `gain`, which adds 2 (start value - minimum) of each term of the potential.
+    # Twice the kinetic energy grows by at most `gain`, the sum of 2 (start value - minimum) over the terms of the potential.
     quadratic = (inertia * gamma**2).sum(0)
     gradient = np.where(N > 0, quadratic - inertia.min(0), inertia.max(0) - quadratic)
     gain = 2 * (moment - (weight * gamma).sum(0)) + np.abs(N) * gradient

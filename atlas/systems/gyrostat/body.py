@@ -62,7 +62,7 @@ class Body(NamedTuple):
         )  # fmt: skip
 
     def rate(self, w: Array) -> Array:
-        """Return the unit of rates for a motion with the angular velocity `w`: the sum of all rates, or 1 if it is 0."""
+        """Return the unit of rates for a motion with the angular velocity `w`, which is the sum of all rates, or 1."""
         squares = [
             np.abs(d.gradient) + length(d.field) / self.inertia.max(-1)
             for d in (self.alpha, self.gamma, self.beta)
@@ -73,10 +73,7 @@ class Body(NamedTuple):
         return np.where(rate == 0, 1.0, rate)
 
     def natural_rate(self, w: Array) -> Array:
-        """Return |Omega|, or the frequency of the fields where Omega = 0.
-
-        The result is the rate of the free body where this is more than 1 / SLOW times larger, and 1 where all rates are 0.
-        """
+        """Return |Omega|, or the fields' frequency if Omega = 0. The rate of the free body, or 1, replaces a negligible result."""
         moment = self.inertia.max(-1)
         squares = sum(
             length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
@@ -260,7 +257,7 @@ def perron_root(first: Array, second: Array, product: Array) -> Array:
 
 
 def quadratic_roots(P: Array, Q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the roots of x^2 + P x + Q = 0. The larger root avoids cancellation, and Q over it is the other root."""
+    """Return the roots of x^2 + P x + Q = 0. The larger root avoids cancellation. The other root is Q divided by the larger."""
     square = 0.25 * P**2
     square = np.where(np.abs(square - Q) <= _DOUBLE * square, 0.0, square - Q)
     root = np.sqrt(square + 0j)

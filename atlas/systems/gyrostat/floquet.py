@@ -16,7 +16,7 @@ and p~ across e therefore form another Hamiltonian system,
 
     xi' = I^-1 (G xi + p~),    p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~,    G = D/2 - S,    e.p~ = 0,
 
-which has the other two pairs of exponents. `tests/systems/test_satellite_stability.py` compares both with the motion.
+which has the other pairs of exponents. `tests/systems/test_satellite_stability.py` compares them with the equations of motion.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class _Rotation(_Periodic):
         self.steps[self.steps > _MAX_STEPS] = np.inf
 
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
-        """Return the logarithm of the growth over a period much longer than the oscillations, or nan where it is uncertain.
+        """Return the logarithm of the growth over a period much longer than the oscillations, or nan if uncertain.
 
         It is the integral of the largest real part of the frozen exponents, the roots of lambda^4 + P lambda^2 + Q = 0. Where
         all roots are imaginary and far from a collision, the actions are adiabatic invariants and nothing grows.
@@ -180,7 +180,7 @@ def growth_of_periodic_motion(
     """Return stability and the growth rate log |mu| / period of periodic motions with two reduced degrees of freedom.
 
     The linear system of six equations has four multipliers 1, which belong to a shift in time, the energy and two integrals
-    such as the area integral and the length of the vertical. These are linear or quadratic in the state. The other multipliers
+    such as the area integral and the length of the vertical. Both are linear or quadratic in the state. The other multipliers
     are mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu. The eigenvalue 1 is defective. The trace is
     therefore accurate where eigenvalues are not. A motion is stable if mu is on the unit circle and not real.
 

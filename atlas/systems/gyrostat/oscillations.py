@@ -4,8 +4,8 @@ A motion that is no equilibrium may be equivalent to an equilibrium of another b
 with rotor and fields along this axis and the rotation u relative to the frame. It is equivalent to a body at rest with the
 rotor k_i + I_i u_i, because I_i enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing
 acts along alpha, the rate of the frame about gamma may be chosen. Where nothing acts at all, the vertical is chosen along the
-angular momentum. Other turning bodies have periodic linear equations (`floquet`). No frequencies are given for such bodies,
-because they are defined only up to multiples of the rate of rotation.
+angular momentum. Other turning bodies have periodic linear equations (`floquet`). The frequencies of these equations are
+defined only up to multiples of the rate of rotation and are not given.
 
 At an equilibrium a small turn xi of the body (delta d = d x xi for both directions d of the frame) obeys
 
@@ -212,7 +212,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         hat = cross_matrix(vertical)
         turns = np.where(axes & ~(any_frame[:, None] & (length(hat) <= _PARALLEL))[:, None], np.eye(3), 0.0)
-        # Where nothing acts, the Hessian is that of the energy (M - k).I^-1 (M - k) / 2 at fixed angular momentum M.
+        # Where nothing acts, the energy (M - k).I^-1 (M - k) / 2 at fixed angular momentum M gives the Hessian.
         momentum = body.inertia * w + body.rotor
         square = (momentum**2).sum(-1)
         share = np.where(square > 0, (w * momentum).sum(-1) / square, 0.0)

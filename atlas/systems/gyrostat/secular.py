@@ -80,7 +80,7 @@ def directions(
 ) -> tuple[Array, NDArray[np.int8]]:
     """Return all directions of the vertical in the body at which a body rests in the frame, if nothing acts along alpha.
 
-    Results are those of `critical_directions`. A body about a fixed point has d = (n^2 - N) I and b = n l + Mg r_c.
+    The result is described in `critical_directions`. A body about a fixed point has d = (n^2 - N) I and b = n l + Mg r_c.
     """
     d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
     return critical_directions(d, body.turn * body.rotor.T - body.gamma.field.T, towards, nearly)

@@ -148,7 +148,7 @@ class Gyrostat(System):
         return result
 
     def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
-        """Return EnergyStability at fixed momenta, and where it is YES for a body with an axis of symmetry."""
+        """Return EnergyStability at fixed momenta, and a mask of the value YES for bodies with an axis of symmetry."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
@@ -159,7 +159,7 @@ class Gyrostat(System):
         return result, symmetric & (result == EnergyStability.YES)
 
     def conserves_axial_momentum(self, points: Points) -> Mask:
-        """Return where C w3 + rotor is constant and is all that the third axis' motion contains of spin and rotor."""
+        """Return where C w3 + rotor is constant. Spin and rotor then affect the motion of the third axis only by this sum."""
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
@@ -182,7 +182,7 @@ class Gyrostat(System):
 def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
-    In general it is growth_rate x duration. The run of a gyrostat may be shorter than the period of the linear system and contain
+    In general it is `growth_rate` x `duration`. The run of a gyrostat may be shorter than the period of the linear system and contain
     only unstable phases. The growth from start to end of the run then counts, if it is more than a change of amplitude.
     """
     result = growth_rate * duration

@@ -126,7 +126,7 @@ def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
 
 
 def oblique_balance(p: Points, without_pole: bool = False) -> Array:
-    """Return the balance of an oblique axis, times cos psi0 if it must be without a pole at cos psi0 = 0."""
+    """Return the balance of an oblique axis. `without_pole` removes the pole at cos psi0 = 0 by a factor cos psi0."""
     sp, cp = node(p)
     balance, drag = 3 * p["Omega"] ** 2 * tilt(p)[0] * sp * flatness(p) - p["h1"] * p["mu3"], p["drag3"] * sp
     return (

@@ -160,7 +160,7 @@ def length_sum(state, constants):
 
 
 def axial_momentum(state, constants):
-    """C w3 + k3. Without damping it is constant if A = B and neither rotor nor magnet has a transverse part."""
+    """C w3 + k3. Only damping changes it if A = B and neither rotor, magnet nor drag has a transverse part."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, *_ = constants
     return C * w3, k3

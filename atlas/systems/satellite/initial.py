@@ -164,7 +164,7 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Return the constants that are 0 without some parameters, and pairs of constants that are equal by axial symmetry.
+    """Return constants that are 0 without magnet, rotor, orbit, drag or damping, and pairs that are equal by symmetry.
 
     Each result needs one more kernel, so that some terms stay although they are 0. The term k3, or D3 with damping and no
     magnet, costs 3 % of the time. The transverse rotor of an asymmetric body with a magnet costs 10 %.

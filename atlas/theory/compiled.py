@@ -126,7 +126,7 @@ def _equations(system: System) -> dict[str, str]:
 
 
 class _Sum(ast.NodeTransformer):
-    """Replaces - by + and function values by magnitudes. For positive arguments the result then sums the terms' magnitudes."""
+    """Transformer that replaces - by + and function values by magnitudes, so that the magnitudes of all terms are summed."""
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         self.generic_visit(node)

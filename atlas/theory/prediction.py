@@ -169,7 +169,7 @@ def after_nudge(label, stable):
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Return the logarithm of the growth by which the residual of a steady start, or a larger rounding error, reaches a tolerance.
+    """Return the logarithm of the growth by which the residual of a steady start, or larger rounding, reaches a tolerance.
 
     Rounding errors of rates are relative to the frequency bound, and rounding errors of angles are relative to 1.
     """

@@ -299,7 +299,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
 
 
 def undamped(start, constants, duration):
-    """Return the root of the fraction of a run before an oscillation is damped, from the divergence of the equations."""
+    """Return the square root of the fraction of a run before the divergence of the equations damps an oscillation."""
     still = turn_all(start.vectors, (0.0, 0.0, 0.0))
     divergence = 0.0
     for i in range(3):

@@ -62,7 +62,7 @@ class Body(NamedTuple):
         )  # fmt: skip
 
     def rate(self, w: Array) -> Array:
-        """Return the unit of rates for a motion with the angular velocity `w`, which is the sum of all rates, or 1."""
+        """Return the unit of rates of a motion with the angular velocity `w`. It is the sum of all rates, or 1 if all are 0."""
         squares = [
             np.abs(d.gradient) + length(d.field) / self.inertia.max(-1)
             for d in (self.alpha, self.gamma, self.beta)

@@ -18,7 +18,7 @@ from ..base import Array
 # Vector instructions integrate at most LANES points side by side. Fewer points are padded to a multiple of GROUP.
 LANES, GROUP = 64, 8
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
-RESCALING = 16  # number of steps after which matrices are rescaled and phases are recomputed
+RESCALING = 16  # number of steps after which matrices are rescaled, to avoid overflow, and phases recomputed
 STEPS = 4096  # largest number of steps in a call, some tenths of a second; a multiple of RESCALING
 
 

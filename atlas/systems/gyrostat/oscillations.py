@@ -42,7 +42,7 @@ from .body import Body, cross_matrix, length, quadratic_roots, transverse_axes
 
 # Exponents closer than this, in units of Body.rate, coincide, because a double root has the square root of rounding as error.
 GROWTH_TOLERANCE = 1e-6
-_PARALLEL = 1e-9  # axes are parallel if the sine of the angle between them is smaller
+_PARALLEL = 1e-9  # largest sine of the angle between axes that count as parallel
 _ZERO = 1e-6  # frequencies and real parts below this fraction of the largest exponent are zero
 
 
@@ -275,7 +275,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Return the rate of a frame in which a body rests or turns about an axis of symmetry, this axis or -1, and where a frame exists."""
+    """Return rate, axis of symmetry (or -1) and existence of a frame in which a body rests or turns about this axis."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

@@ -182,8 +182,8 @@ class Gyrostat(System):
 def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
-    In general it is `growth_rate` x `duration`. The run of a gyrostat may be shorter than the period of the linear system and contain
-    only unstable phases. The growth from start to end of the run then counts, if it is more than a change of amplitude.
+    In general it is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
+    contain only unstable phases. The growth from start to end of the run then counts, if it is more than a change of amplitude.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):

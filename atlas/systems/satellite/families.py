@@ -110,7 +110,7 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """Return psi0 from sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)) on the given side of 0, or with drag3 the nearest root."""
+    """Return psi0 from sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)) with the given sign of cos psi0, or with drag3 the nearest root."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)

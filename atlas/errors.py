@@ -148,11 +148,9 @@ class _Short(reprlib.Repr):
 
     def repr_int(self, x: int, level: int) -> str:
         """Show an integer by its digits. Python may refuse to print a long integer, which is shown by the number of its digits."""
-        return (
-            repr(x)
-            if x.bit_length() < 600
-            else f"an integer of {x.bit_length() * 30103 // 100000 + 1} digits"
-        )
+        if x.bit_length() < 600:
+            return repr(x)
+        return f"an integer of {x.bit_length() * 30103 // 100000 + 1} digits"
 
 
 _SHORT = _Short()

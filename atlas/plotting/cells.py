@@ -243,12 +243,10 @@ def exponent_scale(exponents: Iterable[np.ndarray | None]) -> ColorScale | None:
 
 def regularity_texts(ds: xr.Dataset) -> Mapping[str, str]:
     """Return legend texts for flags of regularity. "regular" and "chaotic" state the length of the runs of a scene."""
-    length = (
-        {}
-        if (scene := scene_of(ds)) is None
-        else {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
-    )
-    return {"hyperbolic": "hyperbolic (unstable)"} | length
+    texts = {"hyperbolic": "hyperbolic (unstable)"}
+    if (scene := scene_of(ds)) is not None:
+        texts |= {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
+    return texts
 
 
 _RESONANCE_COLOURS = dict(zip(RESONANCES, ("#d62728", "#2ca02c", "#9467bd"), strict=True))

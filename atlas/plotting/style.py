@@ -302,11 +302,9 @@ def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
     """Return the label of a variable, with words or a symbol, the word theory if `theory` is true, the unit and selected names."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
-    text = (
-        f"{STATISTICS[statistic]} {SYMBOLS[stem]}"
-        if stem in SYMBOLS and statistic in STATISTICS
-        else WORDS.get(name, name.replace("_", " "))
-    )
+    text = WORDS.get(name, name.replace("_", " "))
+    if stem in SYMBOLS and statistic in STATISTICS:
+        text = f"{STATISTICS[statistic]} {SYMBOLS[stem]}"
     chosen = [
         f"{dim} = {c.item()}" for dim, c in array.coords.items() if not c.ndim and c.dtype.kind in "OSTU"
     ]
@@ -358,17 +356,12 @@ def caption(ds: xr.Dataset) -> str:
     if TRANSIENT in attributes:
         sentences.append(f"After a transient of {attribute_text(attributes, TRANSIENT)}.")
     step = number_attribute(ds, "atlas_step")
-    accuracy = (
-        f"step {step:g}"
-        if math.isfinite(step)
-        else f"phase tolerance {number_attribute(ds, 'atlas_tolerance'):g} rad"
-    )
-    tolerances = (
-        ""
-        if not system.frame
-        else f"; rates count as constant within {rate_text(rate_tolerance_of(ds))} rad per time unit, the third axis"
-        f" as vertical within {number_attribute(ds, 'atlas_cylinder_tolerance'):g} rad"
-    )
+    accuracy, tolerances = f"step {step:g}", ""
+    if not math.isfinite(step):
+        accuracy = f"phase tolerance {number_attribute(ds, 'atlas_tolerance'):g} rad"
+    if system.frame:
+        tolerances = f"; rates count as constant within {rate_text(rate_tolerance_of(ds))} rad per time unit, the third axis"
+        tolerances += f" as vertical within {number_attribute(ds, 'atlas_cylinder_tolerance'):g} rad"
     sentences += [
         f"Integrated by {attribute_text(attributes, 'atlas_method')}, {accuracy}{tolerances}.",
         f"Computed with Precession Atlas {attribute_text(attributes, 'atlas_version')}"

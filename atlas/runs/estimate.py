@@ -131,11 +131,7 @@ def dry_run(
     folder = _folder_bytes(plan, cost, points + expected.proved, scene.size, is_joined=is_joined)
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
-        *(
-            [f"about {expected.proved:.0f} points are proved and not integrated"]
-            if scene.settings.prove
-            else []
-        ),
+        *[f"about {expected.proved:.0f} points are proved and not integrated"] * scene.settings.prove,
         *grid.not_computed(scene, plan.sample),
         f"{'store' if finished.is_store(out) else 'file'}: about {stored / 1e6:.3g} MB; run folder: {contents}about"
         f" {(folder + FOLDER_BYTES) / 1e6:.3g} MB",

@@ -287,11 +287,8 @@ def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> 
     every = proofs_of_labels(system)
     wanted = {proof for label, proof in every.items() if label in outputs}
     if not wanted:
-        labels = (
-            f"name {' or '.join(every)} in outputs.variables"
-            if every
-            else "no installed extension proves its labels"
-        )
+        name_one = f"name {' or '.join(every)} in outputs.variables"
+        labels = name_one if every else "no installed extension proves its labels"
         raise BadInput(
             f"integration.prove = true: no label of the {system.name} can be proved here; {labels}"
         )
@@ -357,11 +354,8 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
             )
     axes = {}
     for name, table in checked_tables.items():
-        values = (
-            np.array(table["values"])
-            if "values" in table
-            else _even_values(f"axes.{name}", table, counts[name])
-        )
+        is_list = "values" in table
+        values = np.array(table["values"]) if is_list else _even_values(f"axes.{name}", table, counts[name])
         offset = table.get("offset_from_family", False)
         if name in system.parameters and not offset:
             checks.check_range(system.parameters[name], f"axes.{name}", values.min(), values.max())
@@ -510,11 +504,9 @@ def _integration(
     values |= checks.from_table(checks.keys_of(Settings, "labels"), labels, "labels", also=["transient"])
     if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
-    duration = (
-        parse_duration(integration["duration"], "integration.duration", names)
-        if "duration" in integration
-        else Duration()
-    )
+    duration = Duration()
+    if "duration" in integration:
+        duration = parse_duration(integration["duration"], "integration.duration", names)
     check_unit(system, duration, "integration.duration")
     transient = parse_transient(system, labels.get("transient", 0), "labels.transient", names)
     check_std_tolerance(system, values.get("std_tolerance"), "labels.std_tolerance")

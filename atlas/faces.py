@@ -1,6 +1,6 @@
-"""Names that extensions add to `atlas` and to `ds.atlas`; `faces.pyi` has them for type checkers.
+"""Names that extensions add to `atlas` and to `ds.atlas`.
 
-`scripts/tools/make_faces.py` writes `faces.pyi` from the extensions of this package.
+Type checkers read `faces.pyi`, which `scripts/tools/make_faces.py` writes from the extensions of this package.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all, and checks of their paths.
+"""Functions that write files whole or not at all, and that check paths.
 
-A file is written under a temporary name in its folder and then moved. The name contains the process, so that `remove_leftovers`
-in another process removes only files of dead processes.
+A file is written under a temporary name in the same folder and then renamed. The temporary name contains the process, so that
+`remove_leftovers` can tell files of dead processes.
 """
 
 from __future__ import annotations
@@ -25,38 +25,41 @@ from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
-# A write that fails with fewer free bytes than this, more than a tile, means a full disk.
+# If a write fails while fewer bytes than this are free, the disk counts as full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
-# Limits for files of unknown origin: bytes of JSON; ratio of compression, if a file claims more than MIN_CLAIM bytes of numbers
-# (sound files reach 3000).
+# A file of unknown origin may contain at most MAX_JSON_BYTES of JSON. If it claims more than MIN_CLAIM bytes of numbers, the
+# compression ratio may be at most MAX_RATIO. Sound files reach a ratio of 3000.
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
-# Seconds without a write after which a temporary file of another machine counts as left over.
+# A temporary file of another machine counts as left over this many seconds after the last write.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
-CLOCK_ERROR = 60.0  # seconds by which the times of two machines may differ
+CLOCK_ERROR = 60.0  # seconds by which the clocks of two machines may differ
 
 
 def exists_message(path: Path | str) -> str:
-    """Message about a file that would have to be replaced."""
+    """Return the message that `path` exists already."""
     return f"{path}: this file exists; {option('force', True)} replaces it"
 
 
 def damaged_message(path: object, error: Exception) -> str:
-    """Message about a damaged part of a run, which the next run of the scene replaces."""
+    """Return the message that a part of a run is damaged. The next run of the scene replaces the part."""
     return f"{path}: damaged: {one_line(error)}; run the scene again, which writes it anew"
 
 
 def foreign_message(path: Path | str) -> str:
-    """Message about a path with something that this package did not write."""
+    """Return the message that this package did not write what is at `path`."""
     return f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose another name"
 
 
 @contextmanager
 def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iterator[Path]:
-    """Path of an empty file, which replaces `path` at the end, whole or not at all; durable: even after a power cut; new: `path` must not exist."""
+    """Yield the path of an empty file that replaces `path` at the end, either whole or not at all.
+
+    If `durable`, this holds even after a power cut. If `new`, `path` must not exist.
+    """
     temporary = temporary_path(path)
-    # O_EXCL and O_NOFOLLOW: never write through a link that another user has made.
+    # O_EXCL and O_NOFOLLOW prevent writing through a link that another user has made.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
@@ -71,7 +74,7 @@ def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iter
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Path of a temporary folder, which replaces `path` whole at the end; a kill between two moves leaves no folder at `path`."""
+    """Yield a temporary folder that replaces `path` at the end. A kill between the two renames leaves no folder at `path`."""
     remove_leftovers(path.parent)
     temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
@@ -92,25 +95,25 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
 
 def age(path: Path) -> float:
-    """Seconds since a file was written, by the clock of its file system."""
+    """Return the seconds since a file was written, by the clock of the file system."""
     with tempfile.TemporaryFile(dir=path.parent) as new:
         return os.fstat(new.fileno()).st_mtime - path.stat().st_mtime
 
 
 def is_recent(age: float, most: float) -> bool:
-    """Whether an age is at most `most` seconds; False for an age far below 0, which comes from a wrong clock."""
+    """Whether `age` is at most `most` seconds and not negative. A clock error of up to CLOCK_ERROR is allowed."""
     return -CLOCK_ERROR <= age <= most
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of dead processes in a folder; files of other machines only after FOREIGN_LEFTOVER_AGE."""
+    """Remove temporary files of dead processes from a folder. Files of other machines stay until FOREIGN_LEFTOVER_AGE."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if not (match := TEMPORARY.fullmatch(entry.name)):
                 continue
             with suppress(OSError):
                 running = is_running(match[1])
-                if running is None:  # a process of another machine; `age` compares times of one clock
+                if running is None:  # the process is on another machine
                     running = age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
                 if not running and entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)
@@ -119,17 +122,17 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def temporary_path(path: Path) -> Path:
-    """A new name in the folder of `path`, which `remove_leftovers` recognises."""
+    """Return a new name in the folder of `path` that `remove_leftovers` recognises."""
     return path.with_name(f".atlas-{process_name()}-{secrets.token_hex(4)}.tmp")
 
 
 def sealed(content: Mapping[str, Any]) -> str:
-    """JSON text of entries with their checksum, for `parsed`."""
+    """Return JSON text of the entries and a checksum, which `parsed` verifies."""
     return json.dumps({**content, "checksum": hash_of(content)}, indent=1)
 
 
 def parsed(text: str | bytes, *, is_sealed: bool = False) -> dict[str, Any]:
-    """Entries of a JSON text; ValueError if it is damaged, or changed since it was sealed."""
+    """Return the entries of a JSON text. Raise ValueError if the text is damaged, or changed since `sealed` made it."""
     try:
         content = json.loads(text)
         if not isinstance(content, dict):
@@ -142,7 +145,7 @@ def parsed(text: str | bytes, *, is_sealed: bool = False) -> dict[str, Any]:
 
 
 def read_bytes(path: Path | str, most: int = MAX_JSON_BYTES) -> bytes:
-    """Content of a file; ValueError if it is longer than allowed, or no regular file."""
+    """Return the content of a file. Raise ValueError if the file is longer than `most` bytes or not a regular file."""
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("it is no regular file")
@@ -153,14 +156,14 @@ def read_bytes(path: Path | str, most: int = MAX_JSON_BYTES) -> bytes:
 
 
 def cache_folder() -> Path:
-    """The cache folder: the environment variable ATLAS_CACHE, or the user's own."""
-    import platformdirs  # few commands need it
+    """Return the folder in the environment variable ATLAS_CACHE, or else the user's default cache folder."""
+    import platformdirs  # few commands need this import
 
     return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
 
 
 def is_private(folder: Path, instead: str) -> bool:
-    """Whether only this user can have written into a folder of the cache; if not, warn once and say what is done `instead`."""
+    """Whether no other user can have written into a folder of the cache. Otherwise a warning says what is done `instead`."""
     if folder != cache_folder() and not is_private(cache_folder(), instead):
         return False
     status = os.lstat(folder)
@@ -180,8 +183,8 @@ def is_private(folder: Path, instead: str) -> bool:
 
 
 def read_private(path: Path) -> bytes:
-    """Content of a file of the cache; ValueError if another user may have written it."""
-    # Neither follow a link nor wait for the other end of a pipe.
+    """Return the content of a file of the cache. Raise ValueError if another user may have written the file."""
+    # With these flags `open` neither follows a link nor waits for the other end of a pipe.
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
         status = os.fstat(file.fileno())
@@ -191,7 +194,7 @@ def read_private(path: Path) -> bytes:
 
 
 def _danger(status: os.stat_result) -> str | None:
-    """Reason why another user may have written a file or folder; None if there is no reason."""
+    """Return the reason why another user may have written a file or folder, or None."""
     if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
         return "belongs to another user"
     if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
@@ -210,7 +213,7 @@ def complain(folder: Path, text: str) -> None:
 
 
 def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
-    """Raise ValueError unless a table has entries of these types: no bool, no number of 1e18 or more, texts in UTF-8."""
+    """Raise ValueError unless entries have these types. Bools, numbers from 1e18 on and texts beyond UTF-8 are refused."""
     for name, kind in types.items():
         value = content.get(name)
         is_number = isinstance(value, int | float)
@@ -221,18 +224,18 @@ def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
 
 
 def check_claim(claimed: int, stored: int) -> None:
-    """Raise ValueError if a file claims more bytes of numbers than its own bytes can hold."""
+    """Raise ValueError if a file of `stored` bytes cannot hold the `claimed` bytes of numbers."""
     if claimed > max(MIN_CLAIM, MAX_RATIO * stored):
         raise ValueError(f"it claims {claimed:.3g} bytes of numbers, more than {stored} bytes can hold")
 
 
 def hash_of(content: Any) -> str:
-    """Hash of a value that JSON can represent, independent of the order of entries."""
+    """Return a hash of a value that JSON can represent. The order of entries does not matter."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _sync(path: Path) -> None:
-    """Flush a file, or the names in a folder, to the disk."""
+    """Flush a file, or the names that a folder contains, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -241,12 +244,12 @@ def _sync(path: Path) -> None:
 
 
 def disk_error(error: Exception, path: Path) -> OSError:
-    """Convert an error of netCDF4, which reports a full disk as an HDF or permission error, to an OSError."""
+    """Convert an error of netCDF4 to an OSError. netCDF4 reports a full disk as an HDF error or a permission error."""
     reason = errno.ENOSPC if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES else None
     try:
         with tempfile.TemporaryFile(dir=path.parent) as trial:
             trial.write(bytes(1 << 20))
-    except OSError as failed:  # a quota or a limit of the size of files
+    except OSError as failed:  # a quota or a limit of the file size is reached
         reason = reason or failed.errno
     if reason is not None:
         return OSError(reason, f"{os.strerror(reason)} ({one_line(error)})", str(path))
@@ -254,7 +257,7 @@ def disk_error(error: Exception, path: Path) -> OSError:
 
 
 def check_name(path: Path, inside: str = "") -> None:
-    """Raise BadInput if the name or the whole path of `path`, or of a file `inside` it, is longer than the file system allows."""
+    """Raise BadInput if `path`, or the path of a file `inside` this folder, is too long for the file system."""
     for each in (path, path / inside):
         try:
             os.lstat(each)
@@ -267,7 +270,7 @@ def check_name(path: Path, inside: str = "") -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raise BadInput unless `path` can be created and is no folder."""
+    """Raise BadInput unless a file can be written at `path`."""
     check_name(path)
     folder = path.parent
     if not folder.is_dir():
@@ -281,9 +284,9 @@ def check_folder(path: Path) -> None:
 
 
 def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
-    """Raise BadInput if `path` is one of the inputs, under any name, or in an input that is a folder."""
+    """Raise BadInput if `path` is one of the inputs, or lies in an input that is a folder. Links are resolved."""
     for each in map(Path, inputs):
-        with suppress(OSError):  # nothing there
+        with suppress(OSError):  # a path may not exist
             if each.is_dir() and path.resolve().is_relative_to(each.resolve()):
                 raise BadInput(f"{path}: in {each}, which is read; choose another place")
             if path.samefile(each):
@@ -291,7 +294,7 @@ def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def without_suffix(name: str | Path, *suffixes: str) -> Path:
-    """A path without its suffix, if `suffixes` has it: k3_0.5.nc becomes k3_0.5, and k3_0.5/ stays; of a web address, its last part."""
+    """Return a path, or the last part of a web address, without a suffix in `suffixes`. The name k3_0.5 keeps the .5."""
     path = Path(Path(name).name) if "://" in str(name) else Path(name)
     if path.name in ("", ".."):
         path = path.resolve()
@@ -299,7 +302,7 @@ def without_suffix(name: str | Path, *suffixes: str) -> Path:
 
 
 def either(words: Iterable[str]) -> str:
-    """The words joined for a sentence: "a, b or c"."""
+    """Join the words for a sentence, as in "a, b or c"."""
     *others, last = words
     return " or ".join(filter(None, (", ".join(others), last)))
 
@@ -307,7 +310,7 @@ def either(words: Iterable[str]) -> str:
 def writable(
     name: str | Path, suffixes: Collection[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """The path of a file to write; BadInput for another suffix, an input and, without `force`, an existing file."""
+    """Return the path of a file to write. Raise BadInput for a wrong suffix, an input, or without `force` an existing file."""
     path = Path(name)
     if path.suffix.lower() not in suffixes:
         raise BadInput(f"{path}: the name must end in {either(suffixes)}")
@@ -322,8 +325,8 @@ def writable(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise BadInput if `path` is a file of numbers that is not certainly an atlas of this package, or if no NetCDF file can be there."""
-    from .hdf5 import SIGNATURES, check_path, is_own, locked_text  # here, because few processes write
+    """Raise BadInput if `path` is a file of numbers that may not be an atlas, or a path that NetCDF cannot open."""
+    from .hdf5 import SIGNATURES, check_path, is_own, locked_text  # few processes need this import
 
     if path.suffix.lower() == ".nc":
         check_path(path)

@@ -1,4 +1,4 @@
-"""Values of the flag variables: names, numbers and meanings."""
+"""Names, numbers and meanings of the values of flag variables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Flag(IntEnum):
-    """Value of a flag variable and its meaning; files use the name of the member in lower case."""
+    """Value of a flag variable with a sentence that explains it. Files use the name of the member in lower case."""
 
     sentence: str
 
@@ -18,7 +18,7 @@ class Flag(IntEnum):
 
     @classmethod
     def meanings(cls) -> dict[str, str]:
-        """Name -> sentence of every flag, in the order of the values 0, 1, 2, ..."""
+        """Return the sentence of every flag by name, in the order of the values 0, 1, 2, ..."""
         return {flag.name.lower(): flag.sentence for flag in cls}
 
 
@@ -32,12 +32,13 @@ class Label(Flag):
     UNRESOLVED = 4, "not decided: see status"
 
 
-# Measured variables with values of `Label`: of the third axis in the system's frame and in inertial space, then of any axis in both.
+# Variables whose values are `Label`. Two describe the third body axis, in the system's frame and in inertial space; two describe
+# the motion about any body axis in the same frames.
 LABELS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial")
 
 
 class Steadiness(Flag):
-    """Kind of motion of a system with observables, with numbers as in `Label`."""
+    """Kind of motion of a system with observables. The numbers agree with `Label`."""
 
     NOT_COMPUTED = 0, "not computed"
     STEADY = 1, "no observable varies: all standard deviations are within their tolerances"
@@ -63,7 +64,7 @@ class Status(Flag):
 
 
 class Agreement(Flag):
-    """Measured label against theory."""
+    """Result of comparing the measured label with theory."""
 
     NOT_COMPARED = 0, "nothing to compare: unresolved, or theory makes no prediction"
     AGREE = 1, "measured label and theory agree"
@@ -81,7 +82,7 @@ class Stability(Flag):
 
 
 class EnergyStability(Flag):
-    """Whether the energy of a steady motion is a minimum at fixed values of what dissipation inside the body conserves."""
+    """Whether a steady motion has the least energy for given values of the quantities that internal dissipation conserves."""
 
     UNKNOWN = 0, "not known, or the second variation is degenerate"
     YES = 1, "a minimum of the energy on the level of what internal dissipation keeps: stable, also with it"
@@ -89,7 +90,7 @@ class EnergyStability(Flag):
 
 
 class StabilityKind(Flag):
-    """Linear stability and stability by the energy combined."""
+    """Combination of linear stability and stability by the energy."""
 
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
     ENERGY_STABLE = 1, "stable by the energy: small dissipation inside the body leaves it stable"
@@ -101,7 +102,7 @@ class StabilityKind(Flag):
 
 
 class NonlinearStability(Flag):
-    """Stability of a steady motion in the full equations, as far as it is proved."""
+    """Stability of a steady motion in the full equations, as far as there is a proof."""
 
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
     ENERGY = 1, "stable by the energy on the level of every constant momentum, as nothing dissipates"
@@ -114,7 +115,7 @@ class NonlinearStability(Flag):
 
 
 class PeriodicSolution(Flag):
-    """Linear stability of a periodic solution, by its multipliers rho and 1/rho that are not 1."""
+    """Linear stability of a periodic solution, decided by the pair of multipliers rho and 1/rho that is not 1."""
 
     NOT_REACHED = 0, "no periodic solution is reached from eps = 0"
     STABLE = 1, "rho is on the unit circle"
@@ -139,7 +140,7 @@ class FamilyEnd(Flag):
 
 
 class OrbitStability(Flag):
-    """Linear stability of a periodic motion, for changes that keep its momenta."""
+    """Linear stability of a periodic motion against disturbances that do not change the momenta."""
 
     UNKNOWN = 0, "no such orbit"
     STABLE = 1, "every multiplier is on the unit circle"
@@ -147,7 +148,7 @@ class OrbitStability(Flag):
 
 
 class EventsComplete(Flag):
-    """Whether all events of a family are listed, up to three times the period at which the family begins."""
+    """Whether all events of a family are listed up to three times the period with which the family begins."""
 
     NO = 0, "some may be missing"
     YES = 1, "steps of half the length find no others"
@@ -175,7 +176,7 @@ class Completeness(Flag):
 
 
 class SettledBy(Flag):
-    """How the equilibrium in which a motion ends is known."""
+    """Evidence for the equilibrium in which a motion ends."""
 
     NOT = 0, "not settled, or unresolved: see status"
     PROVED = 1, "the energy holds the body in the well of one minimum, in which every motion ends"
@@ -218,10 +219,10 @@ _RESERVED_FAMILIES = {
 
 
 def owner_of_family(name: str) -> str:
-    """The system for which a family of an extension is reserved, empty if there is none."""
+    """Return the system for which the family `name` of an extension is reserved, or an empty text."""
     return next((system for system, families in _RESERVED_FAMILIES.items() if name in families), "")
 
 
 def reserved_families(system: str) -> dict[str, str]:
-    """Families of extensions, installed or not, name -> motion; in this order their flags follow those of the system's own families."""
+    """Return the motion of each family that is reserved for extensions of a system, in the order of the families' flags."""
     return _RESERVED_FAMILIES.get(system, {})

@@ -1,6 +1,6 @@
-"""Checks of HDF5 files of unknown origin by h5py, before the NetCDF library opens them.
+"""Checks of HDF5 files of unknown origin, made with h5py before the NetCDF library opens a file.
 
-The NetCDF library follows every reference in a file: to numbers in other files, to links, to groups that contain themselves.
+The NetCDF library would follow every reference, even to another file or to a group that contains itself.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Any
 from .errors import BadInput, one_line
 
 MAX_NAMES = 2000  # largest number of variables and groups of a file
-MAX_CHUNK_BYTES = 1 << 26  # largest size of a chunk that is larger than its array
+MAX_CHUNK_BYTES = 1 << 26  # a chunk that is larger than its array may have this many bytes
 SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # first bytes of NetCDF 4 and of its earlier formats
-OWN = b"atlas_version", b"checksums"  # attribute of every atlas; group of an atlas of version 0.1.0
+OWN = b"atlas_version", b"checksums"  # attribute of every atlas, group of every atlas of version 0.1.0
 
 
 def locked_text(path: Path | str) -> str:
-    """End of a message about a file that another program holds for writing; empty if none does."""
+    """Return the end of a message if another program holds the file for writing, else an empty text."""
     with suppress(OSError), open(path, "rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -34,7 +34,7 @@ def locked_text(path: Path | str) -> str:
 
 
 def check_path(path: Path | str) -> None:
-    """Raise BadInput for a path that the NetCDF library cannot open, or takes for another path."""
+    """Raise BadInput for a path that the NetCDF library cannot open or would take for another path."""
     whole = os.path.abspath(path)
     if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
         raise BadInput(
@@ -45,7 +45,7 @@ def check_path(path: Path | str) -> None:
 def unreadable(
     path: Path | str, error: Exception, what: str = "not a NetCDF file that can be read"
 ) -> BadInput:
-    """BadInput for an error of reading a file: the error itself if it is BadInput, else a message that the file is locked, or `what`."""
+    """Return BadInput for an error of reading a file. The message says that the file is locked, or else `what`."""
     if isinstance(error, BadInput):
         return error
     return BadInput(f"{path}: {locked_text(path) or f'{what} ({one_line(error)})'}")
@@ -53,7 +53,7 @@ def unreadable(
 
 @contextmanager
 def _opened(path: Path | str) -> Iterator[Any]:
-    """An open HDF5 file; locks are ignored."""
+    """Open an HDF5 file for reading, and ignore locks."""
     from h5py import h5f, h5p
 
     access = h5p.create(h5p.FILE_ACCESS)
@@ -66,20 +66,20 @@ def _opened(path: Path | str) -> Iterator[Any]:
 
 
 def check_contained(path: Path | str) -> None:
-    """Raise ValueError for a file whose numbers are in other files, or that cannot be read in bounded time and memory.
+    """Raise ValueError if a file has numbers in other files, or cannot be read in bounded time and memory.
 
-    BadInput for a path that the NetCDF library cannot open.
+    Raise BadInput if the NetCDF library cannot open the path.
     """
     check_path(path)
     with open(path, "rb") as file:
         status = os.fstat(file.fileno())
-        if file.read(3) != b"CDF":  # earlier formats have their numbers in the file
+        if file.read(3) != b"CDF":  # files of earlier formats contain all numbers
             _check_objects(str(path), status.st_dev, status.st_ino, status.st_size, status.st_ctime_ns)
 
 
 @lru_cache(maxsize=256)
 def _check_objects(path: str, *_: int) -> None:
-    """`check_contained` of an HDF5 file; the other arguments change with the file, so that an unchanged file is checked once."""
+    """Check an HDF5 file for `check_contained`. The other arguments identify the file, so that it is checked once."""
     from h5py import h5d, h5g, h5l, h5o, h5t
 
     with _opened(path) as file:
@@ -95,7 +95,7 @@ def _check_objects(path: str, *_: int) -> None:
                 if count > MAX_NAMES:
                     raise ValueError(f"it has more than {MAX_NAMES} variables and groups")
                 kind = group.links.get_info(name).type
-                if kind == h5l.TYPE_SOFT:  # another name in the same file
+                if kind == h5l.TYPE_SOFT:  # a soft link points into the same file
                     continue
                 if kind != h5l.TYPE_HARD:
                     raise ValueError(f"{text} is a link to another file")
@@ -116,7 +116,7 @@ def _check_objects(path: str, *_: int) -> None:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file is certainly an atlas of this package: it has a name in OWN, or is damaged and contains the bytes of OWN[0]."""
+    """Whether a file has a name in OWN, as atlases have. A file that cannot be opened is searched for the bytes of OWN[0]."""
     from h5py import h5a, h5g
 
     try:
@@ -124,6 +124,6 @@ def is_own(path: Path) -> bool:
             root = h5g.open(file, b"/")
             return bool(h5a.exists(root, OWN[0]) or OWN[1] in root)
     except Exception:  # the file has an earlier format, or is damaged
-        with suppress(ValueError), path.open("rb") as content:  # ValueError: an empty file
+        with suppress(ValueError), path.open("rb") as content:  # an empty file raises ValueError
             return mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ).find(OWN[0]) >= 0
         return False

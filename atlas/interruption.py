@@ -1,4 +1,4 @@
-"""Signals. SIGINT (Ctrl-C), SIGTERM and SIGHUP end the command within two seconds, with whole files; STOPS end a run between tiles."""
+"""Reactions to signals. SIGNALS end the command within two seconds and leave whole files; STOPS end a run between two tiles."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ from typing import NoReturn
 
 from .errors import printable
 
-# Exit codes: 128 plus the number of the signal, as shells and batch systems expect.
+# These exit codes are 128 plus the number of the signal, as shells and batch systems expect.
 INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
 STOPPED = 75  # exit code of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# Seconds from a signal to the end of a process that does not react to exceptions; seconds allowed for finding or printing its message.
+# A process that does not react to exceptions ends GRACE_PERIOD seconds after a signal. Each of finding and printing the message
+# may take MESSAGE_PERIOD seconds.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # signals by which batch systems announce the end
+STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # by which batch systems announce the end of a job
 
-_received = signal.SIGINT  # the last signal of SIGNALS
-stopped_by = ""  # "by SIGUSR1" after a signal of STOPS: no tile begins any more
-_kept: Callable[[], object] = str  # returns the text about finished work
+_received = signal.SIGINT  # the signal of SIGNALS that was received last
+stopped_by = ""  # set to "by SIGUSR1", for example, after a signal of STOPS; then no tile begins
+_kept: Callable[[], object] = str  # function that returns the text about finished work
 
 
 class Stopped(Exception):
-    """The time of a run is up; finished work is kept, and the same call continues."""
+    """The time of a run is over. Finished work is kept, and the same call continues the run."""
 
 
 def end_process(number: int | None = None, *_: object) -> None:
-    """End the process at once with the exit code of an interruption; no file is harmed, because files appear whole by a move."""
+    """End the process at once with the exit code of an interruption. This harms no file, because files are moved in place whole."""
     code, text = outcome(number)
     _in_time(lambda: os.write(2, f"{text}\n".encode()))
     os._exit(code)
 
 
 def outcome(number: int | None = None) -> tuple[int, str]:
-    """Exit code and message of a process that a signal ends, by default the last signal received."""
+    """Return exit code and message of a process that a signal ends. The default is the signal received last."""
     code = 128 + (number or _received)
     kept = _in_time(_kept)
     command = f"{called_as()} {shlex.join(sys.argv[1:])}"
@@ -52,7 +53,7 @@ def outcome(number: int | None = None) -> tuple[int, str]:
 
 
 def _in_time(function: Callable[[], object]) -> object:
-    """Result of a function; None if it fails (such as in a removed folder) or takes long (such as with a silent server)."""
+    """Return the result of a function, or None if the function fails or takes longer than MESSAGE_PERIOD."""
     results: list[object] = [None]
 
     def call() -> None:
@@ -66,13 +67,13 @@ def _in_time(function: Callable[[], object]) -> object:
 
 
 def explain_kept(text: Callable[[], str] | None) -> None:
-    """Set the text about finished work in the message of an interruption."""
+    """Set the function that returns the text about finished work in the message of an interruption."""
     global _kept
     _kept = text or str
 
 
 def called_as() -> str:
-    """How to call this program: `atlas`, or its path if the shell does not find this name."""
+    """Return the name by which this program is called, or the path if the shell does not find the name."""
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return "python -m atlas"
@@ -81,7 +82,7 @@ def called_as() -> str:
 
 
 def is_command() -> bool:
-    """Whether this process is the command `atlas`, not a child of it."""
+    """Whether this process is the command `atlas` itself, not a child process."""
     if parent_process() is not None:
         return False
     name = Path(sys.argv[0]).stem if getattr(sys, "argv", None) else ""
@@ -89,20 +90,18 @@ def is_command() -> bool:
 
 
 def end_on_signal() -> None:
-    """Let a signal end the process at once, without a traceback, during its imports."""
+    """Let a signal that arrives during the imports end the process at once, without a traceback."""
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, end_process)
 
 
 def start_deadline() -> None:
-    """End this process GRACE_PERIOD after a signal even if its main thread, which runs handlers, is busy in a library."""
+    """Start a thread that ends the process GRACE_PERIOD after a signal, even if a library keeps the main thread busy."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    os.register_at_fork(
-        after_in_child=lambda: signal.set_wakeup_fd(-1)
-    )  # else signals of a child would count
+    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))  # signals of a child do not count
 
     def wait() -> None:
         while (number := os.read(reading, 1)[0]) not in SIGNALS:
@@ -114,7 +113,7 @@ def start_deadline() -> None:
 
 
 def exit_process(code: int) -> NoReturn:
-    """Exit with the code of a finished command, which later signals do not change."""
+    """Exit with the code of a finished command, and ignore later signals."""
     for number in (*SIGNALS, *STOPS):
         signal.signal(number, signal.SIG_IGN)
     if code > 128:  # Python may end itself with SIGINT after a KeyboardInterrupt
@@ -140,7 +139,7 @@ def signals_as_interrupt() -> Iterator[None]:
         raise KeyboardInterrupt
 
     previous = {number: signal.getsignal(number) for number in SIGNALS}
-    # A signal that was ignored from the start stays ignored; SIGHUP means something else to a program with a handler for it.
+    # A signal that was ignored from the start stays ignored, and a handler of SIGHUP that another part of the program set stays.
     replaced = [number for number, handler in previous.items() if handler is not signal.SIG_IGN]
     if previous[signal.SIGHUP] not in (signal.SIG_IGN, signal.SIG_DFL, end_process):
         replaced.remove(signal.SIGHUP)
@@ -159,7 +158,7 @@ def signals_as_interrupt() -> Iterator[None]:
 
 @contextmanager
 def signals_as_stop() -> Iterator[None]:
-    """Let the signals of STOPS end a run as `stop_after` does, in the main thread and if they have no other handler."""
+    """Let the signals of STOPS end a run as `stop_after` does. In other threads, or if a signal has a handler, nothing changes."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         global stopped_by

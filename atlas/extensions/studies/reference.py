@@ -1,4 +1,4 @@
-"""Reference solutions: final states, statistics and labels from closed forms and from DOP853."""
+"""Reference solutions, computed from closed forms and by SciPy's DOP853."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ from ...systems.base import Array, Flags, Mask, Points, System, families_of, sub
 from ...theory.motions import condition_residual
 from ...variables import main_instrument
 
-# Sums of the rates, integrated with the states, in the order of `kernel.quadratures`.
+# Rows of the sums that are integrated together with the states, in the order of `kernel.quadratures`.
 RATE_SUMS = (
     Row.THETA_DOT_SQUARED, Row.THETA_DOT_CHANGE, Row.THETA_DOT_CHANGE_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
     Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
 )  # fmt: skip
-# Relative tolerances of the reference and of a second run; the uncertainty is SAFETY times the difference of the two runs.
+# Relative tolerances of the reference run and of a second run. The uncertainty is SAFETY times the difference of both runs.
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
-# Uncertainty of a component of the state by rounding alone.
+# Rounding alone makes a component of the state uncertain by this much.
 LEAST_UNCERTAINTY = 1e-15
-# Largest residual, by rounding, of a start that is exactly on its family.
+# A start whose residual is at most this large is exactly on its family, because rounding explains the residual.
 EXACT_RESIDUAL = 1e-14
-# Largest duration times frequency bound, rad, for which SciPy's DOP853 does not take too long.
+# A run whose duration times frequency bound, in rad, exceeds this value would take DOP853 too long.
 MAX_RADIANS = 1e5
-# Points are integrated as one system if their runs differ in length by at most this factor.
+# Points are integrated as one system if the lengths of the runs, in rad, differ by at most this factor.
 GROUP_FACTOR = 2.0
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
-Run = dict[str, Array]  # the statistics, "sine_max" and "outside", (points,), and "state", (states, points)
+Run = dict[str, Array]  # "state" of shape (states, points), the others of shape (points,)
 
 
 def no_progress(points: float) -> None:
-    """An Advance that does nothing."""
+    """Report no progress."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference solution of some points and its uncertainty."""
+    """Reference solution of some points, with the uncertainty of the solution."""
 
-    state: Array  # at the end of the run, (states, points)
-    # The statistics of the main instrument, "sine_max" and "outside", by name; psi' and phi' are NaN inside the cylinder
+    state: Array  # state at the end of the run, (states, points)
+    # Statistics of the main instrument, "sine_max" and "outside". Those of psi' and phi' are NaN inside the cylinder.
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
     exact: Mask  # true where the closed form of a family is used
-    state_error: Array  # uncertainty of the state as `state_distance` measures it
-    statistics_error: dict[str, Array]  # uncertainty of each statistic, in its own units
+    state_error: Array  # uncertainty of the state, measured by `state_distance`
+    statistics_error: dict[str, Array]  # uncertainty of each statistic, in the units of the statistic
     label_certain: Mask  # whether both runs give the same labels
 
 
 class ReferenceFailure(BadInput):
-    """The reference cannot be computed for the points at these indices."""
+    """Error for points whose reference solution cannot be computed."""
 
     def __init__(self, indices: np.ndarray):
         super().__init__(f"the reference fails at points {', '.join(map(str, indices))}")
@@ -70,11 +70,12 @@ class ReferenceFailure(BadInput):
 def reference(
     system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> Reference:
-    """Final states and statistics: the closed form where a start is exactly on a family, else DOP853; may raise ReferenceFailure.
+    """Return final states, statistics and labels, or raise ReferenceFailure.
 
-    SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as quadratures. The
-    uncertainty is SAFETY times the difference of the two runs, or of the closed form and the first run: the rounding of an exact
-    start grows along an unstable motion, so that the closed form is not more certain.
+    The closed form of a family is used where a start is exactly on the family. SciPy's DOP853 is used elsewhere; it integrates
+    every point at the relative tolerances REFERENCE_RTOL and SECOND_RTOL. The uncertainty is SAFETY times the difference of
+    the two runs, or of the closed form and the first run. The closed form is not more certain than a run, because the rounding
+    error of an exact start grows along an unstable motion.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
@@ -121,7 +122,7 @@ def reference(
 def reference_where_possible(
     system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> tuple[Reference | None, np.ndarray]:
-    """The reference at the points where it can be computed (None: at no point), and the indices of these points."""
+    """Return the reference solution of the points that have one, and the indices of these points; None if no point has one."""
     indices = np.arange(duration.size)
     while indices.size:
         try:
@@ -135,13 +136,13 @@ def reference_where_possible(
 
 
 def largest_sine(theta_min: Array, theta_max: Array) -> Array:
-    """Largest sin(theta) between two angles, rad."""
+    """Return the largest sin(theta) for theta between two angles in rad."""
     contains_right_angle = (theta_min <= np.pi / 2) & (theta_max >= np.pi / 2)
     return np.where(contains_right_angle, 1.0, np.maximum(np.sin(theta_min), np.sin(theta_max)))
 
 
 def _closed_forms(system: System, points: Points, duration: Array, cylinder: float) -> tuple[Run, Mask]:
-    """The steady motion of each start by the closed form of its family, and a mask of the starts exactly on a family."""
+    """Return the steady motions in closed form, and a mask of the points that start exactly on a family."""
     flags, _ = system.identify_family(points)
     motions = {f.flag: f.motion for f in families_of(system).values() if f.motion is not None}
     exact = (condition_residual(system, points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
@@ -156,7 +157,7 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     for flag in np.unique(flags[exact]):
         members = np.flatnonzero(exact & (flags == flag))
         states = motions[flag](subset(points, members), duration[members])
-        run["state"][:, members] = np.einsum("sii->si", states)  # each point at its own time
+        run["state"][:, members] = np.einsum("sii->si", states)  # each point at the end of its run
     return run, exact
 
 
@@ -164,13 +165,13 @@ def _dop853(
     system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance,
     transient: Array | float = 0.0,
 ) -> tuple[Run, Mask]:  # fmt: skip
-    """Runs by DOP853, NaN at the points whose integration fails, and a mask of these points."""
+    """Integrate the points by DOP853; return the runs and a mask of the points that failed, whose values are NaN."""
     with np.errstate(all="ignore"):
         radians = system.frequency_bound(points) * (transient + duration)
         usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
     failed = ~usable
     run: Run = {}
-    # Points of a group need about the same number of steps.
+    # The points of a group need about the same number of steps.
     groups = []
     indices = np.flatnonzero(usable)
     indices = indices[np.argsort(radians[indices], kind="stable")]
@@ -198,7 +199,7 @@ def _dop853(
 
 
 def _after_transient(system: System, points: Points, transient: Array | float, rtol: float) -> Array:
-    """States after transients, integrated as one system of equations; nan if the integration fails."""
+    """Return the states after the transients, or NaN if the integration fails. All points form one system of equations."""
     start, constants, rhs = system.initial_state(points), system.constants(points), system.equations.rhs
 
     def slope(_: float, flat: Array) -> Array:
@@ -219,7 +220,7 @@ def _integrate_group(
     advance: Advance = no_progress,
     start: Array | None = None,
 ) -> Run | None:
-    """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
+    """Integrate the points as one system of equations in the time t / duration. Return None if a step fails."""
     equations, constants = system.equations, system.constants(points)
     start = system.initial_state(points) if start is None else start
     states, size = start.shape
@@ -227,7 +228,7 @@ def _integrate_group(
     rates0, wide, write_slopes = np.array(first), tuple(constants[:, :, None]), slope_kernel(system).integrate
 
     def slope(time: float, flat: Array) -> Array:
-        """Slopes of the states, then of the sums in the order of RATE_SUMS."""
+        """Return the derivatives of the states, then those of the sums in the order of RATE_SUMS."""
         slopes = np.empty_like(flat)
         path = flat.reshape(-1, size)
         write_slopes(path, constants, duration, rates0, cylinder, slopes.reshape(path.shape))
@@ -263,12 +264,13 @@ def _final_and_range(
     duration: Array,
     advance: Advance,
 ) -> tuple[Array, Array, Array] | None:
-    """States and sums at the time 1, and the smallest and largest of some values until then; None if a step fails.
+    """Integrate to the time 1; return the states and sums there, and the extremes of some values along the way.
 
-    values_along: gives the values at states (states, points, instants), and their derivatives per time unit.
+    `values_along` returns these values and their time derivatives for an array (states, points, instants). The result is None
+    if a step fails.
     """
     states, size = start.shape
-    # The quadratures follow the steps of the states and shorten them only where a rate has a peak.
+    # With a looser tolerance the sums shorten the steps only where a rate has a peak.
     tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, sums * size])
     initial = np.concatenate([start.ravel(), np.zeros(sums * size)])
     lowest = highest = at_start
@@ -286,12 +288,12 @@ def _final_and_range(
     return solver.y.reshape(-1, size), lowest, highest
 
 
-# Imaginary change of the state that gives the derivative of an observable along the motion.
+# Length of the complex step with which an observable is differentiated along the motion.
 COMPLEX_STEP = 1e-30
 
 
 def observe(system: System, state: Array, constants: Array) -> Array:
-    """Values of the observables, shape (observables, *points)."""
+    """Return the values of the observables, of shape (observables, *points)."""
     equations = system.equations
     rows = [
         getattr(equations, o.name)(state, constants)
@@ -305,13 +307,13 @@ def observe(system: System, state: Array, constants: Array) -> Array:
 def integrate_observed_group(
     system: System, points: Points, duration: Array, rtol: float, advance: Advance, start: Array
 ) -> dict[str, Array] | None:
-    """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
+    """Integrate the points as one system of equations in the time t / duration. Return None if a step fails."""
     equations, constants, (states, size) = system.equations, system.constants(points), start.shape
     first = observe(system, start, constants)
     periods, duration = observables.whole_periods(system, constants, duration)
 
     def slope(time: float, flat: Array) -> Array:
-        """Slopes of the states and of the integrals of g, g^2 and u g, see `kernel.observe`."""
+        """Return the derivatives of the states and of the integrals of g, g^2 and u g (see `kernel.observe`)."""
         state = flat.reshape(-1, size)[:states]
         change = observe(system, state, constants) - first
         rows = [duration * rate for rate in equations.rhs(state, constants)]
@@ -331,7 +333,7 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    if periods is not None:  # values at the ends of each point's own periods, nan elsewhere
+    if periods is not None:  # strobed observables count only where a period of the point ends
         times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
         place = times * periods[:, None]
         path = solve_ivp(
@@ -350,9 +352,9 @@ def integrate_observed_group(
 
 
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
-    """Smallest and largest value of cubics between instants at unit distance, along the last axis."""
+    """Return the extremes, along the last axis, of cubics between instants at unit distance."""
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
-    # value + left x + b x^2 + c x^3 has its extreme on 0..1 where its slope changes sign
+    # The cubic value + left x + b x^2 + c x^3 has an extreme between x = 0 and 1 where its derivative changes sign.
     b, c = 3 * rise - 2 * left - right, left + right - 2 * rise
     root = np.sqrt(np.maximum(b**2 - 3 * left * c, 0.0))
     x = -left / (b + np.where(left > 0, -root, root))

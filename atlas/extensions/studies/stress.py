@@ -1,4 +1,4 @@
-"""Stress study: stiff and extreme points at many step sizes, every label compared with the true one."""
+"""Stress study, which runs stiff and extreme points at many step sizes and compares each label with the true label."""
 
 from __future__ import annotations
 
@@ -37,20 +37,21 @@ from .stress_truth import (
     true_labels,
 )
 
-# Levels, coarse to fine: fixed steps divided by the stability limit at the frequency bound, then tolerances of automatic steps.
+# The levels go from coarse to fine. The first have fixed steps, given as fractions of the method's stability limit at the
+# frequency bound; the others have automatic steps with these tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
-# Largest rate tolerance: the default, relative to the natural rate of a fast rotor, would call all slow motions steady.
+# Largest rate tolerance. The default grows with the natural rate, so that with a fast rotor all slow motions would be steady.
 RATE_TOLERANCE = 1e-5
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
-# Largest number of steps of a point; points that need more steps at a level are left out there.
+# A point that needs more steps than this at a level is left out at this level.
 MAX_STEPS = 10_000_000
-# Largest error of an accurate unsteadiness, relative to the true unsteadiness or, if larger, to the rate tolerance.
+# The unsteadiness is accurate if its error is below this fraction of the larger of the true value and the tolerance.
 ACCURATE = 0.01
 
 
 class Verdict(Flag):
-    """A label compared with the true one."""
+    """Result of comparing a label with the true label."""
 
     RIGHT = 0, "the label is true"
     UNRESOLVED = 1, "no label"
@@ -61,12 +62,15 @@ class Verdict(Flag):
 def stress(
     system: System | str, cases: Sequence[StressCase] | None = None, *, threads: int | None = None
 ) -> xr.Dataset:
-    """Run stress cases, or `generic_cases`, by every method at every level and compare each label with the true one."""
+    """Run stress cases by every method at every level, and compare each label with the true label.
+
+    Without `cases`, the cases that the system defines are run, or `generic_cases` if there are none.
+    """
     if isinstance(system, str):
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
-    # First the cases without a `truth`: theory and the reference decide all of them in one call.
+    # The cases without a `truth` come first, because one call of `true_labels` finds the labels of them all.
     parts.sort(key=lambda part: part.truth != "")
     plain, truths = [part for part in parts if not part.truth], list[TrueLabels]()
     if plain:
@@ -90,12 +94,12 @@ def stress(
 
 
 def _settings(system: System, points: Points) -> RunSettings:
-    """Default settings at points, with rate tolerances of at most RATE_TOLERANCE."""
+    """Return the default settings at the points, with rate tolerances of at most RATE_TOLERANCE."""
     return DEFAULTS.at(np.minimum(at_points(system, DEFAULTS.rate_tolerance, points), RATE_TOLERANCE))
 
 
 def _joined(system: System, parts: Sequence[CasePoints]) -> tuple[dict[str, Array], Array]:
-    """Points of all cases, and their durations."""
+    """Return the points of all cases, and the durations of the points."""
     points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
     return points, np.concatenate([part.duration for part in parts])
 
@@ -103,27 +107,27 @@ def _joined(system: System, parts: Sequence[CasePoints]) -> tuple[dict[str, Arra
 def _run_levels(
     system: System, points: Points, duration: Array, threads: int | None
 ) -> dict[str, np.ndarray]:
-    """Label, status and the measured numbers to compare, each (method, level, point)."""
+    """Return label, status and measured values, each of shape (method, level, point)."""
     shape = len(METHODS), len(LEVELS), duration.size
     numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
     results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
     results |= {name: np.full(shape, np.nan) for name in numbers}
     for name in METHODS:
-        kernel(system, name)  # loaded before the threads start
+        kernel(system, name)  # loads the kernel before the threads start
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
     rate_tolerance = np.asarray(_settings(system, points).rate_tolerance)
     grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration, rate_tolerance)
 
     def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
-        """Run a method at a level, for points with at most MAX_STEPS steps and, if steps are fixed, a positive step."""
+        """Run a method at a level for the points that need at most MAX_STEPS steps. A fixed step must be positive."""
         where = np.arange(duration.size) if step is None else np.flatnonzero(step > 0)
         tile = replace(grid, step=step).subset(where)
         with np.errstate(all="ignore"):
             radians = bound[where] * tile.duration
             most = replace(settings, max_steps=model.MAX_STEPS).at(tile.rate_tolerance)
             unlimited = StepSizes.of(most, bound[where], tile.duration, tile.step)
-        # 1000 steps are enough to show an overflow; the automatic steps of such a point would be too many.
+        # A point that overflows would get too many automatic steps, and 1000 steps show the overflow.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
         for max_steps, mask in runs.items():
@@ -137,7 +141,7 @@ def _run_levels(
                 for name, column in results.items():
                     column[(*cell, where[mask])] = values[name]
 
-    # The kernel releases the interpreter lock; one level is seldom large enough for two threads.
+    # Threads run different levels, because one level seldom has work for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
         jobs = []
         for i, method in enumerate(METHODS.values()):
@@ -163,7 +167,7 @@ def _dataset(
     truth: TrueLabels,
     results: Mapping[str, np.ndarray],
 ) -> xr.Dataset:
-    """The results of `stress` with their attributes."""
+    """Return the results of `stress` as a dataset."""
     registry, dims, label = variables(system), ("method", "level", "point"), results["label"]
     verdict = np.select(
         [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == truth.label],
@@ -212,30 +216,30 @@ def _dataset(
 
 
 def mislabelled(ds: xr.Dataset) -> Mask:
-    """Where a label differs from the true one, bool over (method, level, point)."""
+    """Return a mask over (method, level, point) of the labels that differ from the true label."""
     return np.asarray(ds["verdict"].values == Verdict.WRONG)
 
 
 def unresolved(ds: xr.Dataset) -> Mask:
-    """Where an automatic step gives no label and the case expects one, bool over (method, level, point)."""
+    """Return a mask over (method, level, point): automatic steps give no label although the case expects a label."""
     automatic = np.arange(len(LEVELS)) >= len(RATIOS)
     expected = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != Label.UNRESOLVED)
     return np.asarray((ds["verdict"].values == Verdict.UNRESOLVED) & automatic[:, None] & expected)
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, as 1 % of the runs may be."""
+    """Return a mask of the resolved exact motions with a statistic whose error exceeds ten times `error_estimate`."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_has_estimate(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
 
 def estimate_fails(ds: xr.Dataset) -> bool:
-    """Whether more than 1 % of the runs along exact motions are beyond ten times their estimate."""
+    """Whether `beyond_estimate` holds for more than 1 % of the resolved runs along exact motions."""
     return bool(beyond_estimate(ds).sum() > 0.01 * _has_estimate(ds).sum())
 
 
 def _has_estimate(ds: xr.Dataset) -> Mask:
-    """Where a resolved point follows an exact motion, bool over (method, level, point)."""
+    """Return a mask over (method, level, point) of the resolved runs along exact motions."""
     known = ds["statistic_error"].notnull().any("statistic").values
     return np.asarray(known & (ds["status"].values == Status.OK))
 
@@ -248,7 +252,7 @@ LEGEND = (
 
 
 def report(ds: xr.Dataset) -> str:
-    """The study as text: a row for each case with a sign for each level, then each point that failed."""
+    """Return the study as text, with a row for each case and a line for each point that failed."""
     counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(Verdict))
     meanings = list(Label.meanings())
     rows = [("case", "points", "true label", "determined by", *ds["method"].values)]
@@ -262,7 +266,7 @@ def report(ds: xr.Dataset) -> str:
         conditions = [is_wrong, is_left_out, is_unresolved & is_right, is_unresolved]
         signs = np.select(conditions, ["X", "-", "u", "U"], ".")
         rows.append((str(case), str(part.sizes["point"]), truth, source, *map("".join, signs)))
-    # For each method and level: how many of the right labels have an accurate unsteadiness, and how many a known one.
+    # At each level, count the right labels with an accurate unsteadiness and those with a known error of the unsteadiness.
     accuracy = []
     for name, verdict, error in zip(
         ds["method"].values, ds["verdict"].values, ds["error"].values, strict=True
@@ -288,7 +292,7 @@ def report(ds: xr.Dataset) -> str:
 
 
 def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
-    """A line for each selected point, method and level."""
+    """Return a line for each selected point, method and level."""
     label, status, lines = list(Label.meanings()), list(Status.meanings()), []
     for index in np.argwhere(selected):
         run = ds.isel(dict(zip(ds["verdict"].dims, index, strict=True)))
@@ -300,7 +304,7 @@ def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
 
 
 def _statistics_table(ds: xr.Dataset) -> list[str]:
-    """A row for each case of exact motions: largest error, and largest error / estimate, at the finest tolerance."""
+    """Return a table of the largest errors at the finest tolerance, with a row for each case of exact motions."""
     known = ds["statistic_error"].notnull().any(("method", "level", "statistic")).values
     if not known.any():
         return []
@@ -336,17 +340,17 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
     ]
 
 
-# Exponents of the powers of 10 by which the defaults of parameters, and of start values, are multiplied.
+# Default values are multiplied by 10 to these powers; start values have powers of their own.
 POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
 HUGE = 1e200
-# What a start value is set to if its default is 0, so that the state changes.
+# A start value whose default is 0 is set to START, so that the state changes.
 START = 0.1
-# Duration of a run times its frequency at the start, rad, and the longest duration, time units.
+# A run lasts RADIANS divided by the frequency at the start, but at most MAX_DURATION time units.
 RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """Cases of each parameter: its default times powers of 10, its bounds and a huge value; runs of fast motions are short."""
+    """Return cases that vary one parameter each: the default times powers of 10, the bounds, and a huge value."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:
@@ -365,7 +369,7 @@ def generic_cases(system: System) -> list[StressCase]:
 
 
 def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:
-    """A case with these columns; the higher the frequency of a run at its start, the shorter the run."""
+    """Return a case with these columns, in which a run is shorter if the motion is faster at the start."""
     meaning = system.parameters[name].meaning if name in system.parameters else "one motion"
     case = StressCase(name, meaning, 1.0, columns)
     points = case_points(system, case).points
@@ -381,7 +385,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 def generic_true_labels(
     system: System, points: Points, duration: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels by the reference integrator, unresolved where numbers overflow, and a mask of the points whose label is known."""
+    """Return the labels that the reference gives, UNRESOLVED after an overflow, and a mask of the points with a known label."""
     size = duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
@@ -402,22 +406,22 @@ def generic_true_labels(
 
 
 def _final_states(system: System, method: str, points: Points, step_size: Array, steps: int) -> Array:
-    """States after `steps` steps, (states, points)."""
+    """Return the states after `steps` steps, of shape (states, points)."""
     count = np.full(step_size.size, steps)
     return Ensemble.of(system, points).final_states(kernel(system, method), count, step_size)
 
 
 def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
-    """Largest y = (angular frequency) x (step), to 1e-4, without growth of the amplitude; in theory `method.stability`.
+    """Return the largest angular frequency times step, to 1e-4, at which an amplitude does not grow.
 
-    Two motions with one frequency each: gamma of a free sphere turns at |w| ("turning"); the small w of a sphere with a rotor
-    turns about the rotor at l3 / A ("nutation").
+    In theory the result is `method.stability`. It is observed on two motions that have one frequency each. In "turning", gamma
+    of a free sphere turns at |w|. In "nutation", a small w of a sphere with a rotor turns about the rotor at l3 / A.
     """
     system = systems.get("fixed_point")
     y = method.stability * np.linspace(0.95, 1.05, 1025)
     body = {"A": 1.0, "B": 1.0, "C": 1.0, "theta0": 1.0, "phi0": np.zeros(y.size)}
     starts = {
-        # parameters, rows of the state that turn, their amplitude
+        # parameters, rows of the state that hold the turning vector, amplitude of the vector
         "turning": ({"m": 1.0}, slice(3, None), 1.0),
         "nutation": ({"l3": 1.0, "theta_dot0": 1e-9}, slice(2), 1e-9),
     }
@@ -432,16 +436,16 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
 
 
 def constraint_bound(method: Method, y: float, steps: int) -> float:
-    """Largest expected change of |gamma| over a run of a body that turns by y radians a step.
+    """Return the largest expected change of |gamma| in a run of a body that turns by y radians a step.
 
-    Each step multiplies the turning part by |R(i y)| = 1 - dissipation y^p to leading order, R the stability function of the
-    method. Rounding adds at most one ulp.
+    Each step multiplies the turning part by |R(i y)|, where R is the stability function of the method. To leading order this
+    factor is 1 - dissipation y^p with p = `method.dissipation_order`. Rounding adds at most one ulp.
     """
     return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
 
 
 def constraint_change(system: System, method: Method, points: Points, y: float, steps: int) -> Array:
-    """Largest change of |gamma| and, of the satellite, |alpha| and alpha.gamma, for y radians a step."""
+    """Return the largest change of |gamma|, and for a satellite also of |alpha| and alpha.gamma, at y radians a step."""
     state = _final_states(system, method.name, points, y / system.frequency_bound(points), steps)
     unit = state[3:].reshape(-1, 3, state.shape[1])
     changes = [np.abs(np.sqrt((vector**2).sum(0)) - 1) for vector in unit]
@@ -451,7 +455,7 @@ def constraint_change(system: System, method: Method, points: Points, y: float, 
 
 
 def limits(*, steps: int = 10_000_000) -> list[tuple[str, ...]]:
-    """Table of the limits of every method, in theory and as observed in runs of `steps` steps."""
+    """Return a table of the limits of every method, in theory and as observed in runs of `steps` steps."""
     satellite = systems.get("satellite")
     tumbling, _ = point_columns(satellite, {"A": 0.9, "B": 1.1, "k1": 0.2, "theta0": 0.7, "n": 0.5, "m": 0.9})
     turning, _ = point_columns(satellite, {"C": 1.0, "Omega": 0.0, "theta0": 1.0, "m": 1.0})

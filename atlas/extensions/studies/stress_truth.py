@@ -1,4 +1,4 @@
-"""True labels of stress cases: from theory, exact motions, departures from equilibria and the reference integrator."""
+"""True labels of stress cases from theory, exact motions, departures from equilibria, or the reference integrator."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ from ...variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
-# The reference integrates runs up to MAX_RADIANS_WHOLE rad at the frequency bound whole, and RADIANS_OF_PART rad of longer runs.
+# The reference integrates a whole run if duration times frequency bound is at most MAX_RADIANS_WHOLE rad. It integrates
+# only the first RADIANS_OF_PART rad of a longer run.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
-# Statistics that are compared with those of an exact motion, and their accuracy (of rates, divided by the frequency bound).
+# The statistics that exact motions give, and the accuracy of these statistics (of a rate divided by the frequency bound).
 EXACT_STATISTICS = (
     "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
 )  # fmt: skip
 EXACT_ACCURACY = 1e-12
-# Accuracy of the fraction of a run outside the cylinder: each passage of the rim may misplace a node or two of the quadrature.
+# The fraction of a run outside the cylinder is this accurate, because a node or two may lie on the wrong side of the rim.
 SHARE_ACCURACY = 0.05
-# Uncertainty of an offset from an equilibrium: the rounding of the state.
+# An offset from an equilibrium is uncertain by the rounding of the state.
 STATE_ROUNDING = 3e-16
 
 
 @dataclass(frozen=True)
 class TrueLabels:
-    """True labels of some points; arrays of shape (points,)."""
+    """True labels of some points, in arrays of shape (points,)."""
 
     label: Flags  # `Label.UNRESOLVED` where rounding decides or numbers overflow
     unsteadiness: (
@@ -50,12 +51,12 @@ class TrueLabels:
 
     @classmethod
     def join(cls, parts: Sequence[TrueLabels]) -> TrueLabels:
-        """The labels of several sets of points, one after the other."""
+        """Concatenate the labels of several sets of points."""
         columns = zip(*(vars(part).values() for part in parts), strict=True)
         return cls(*(np.concatenate(each, axis=-1) for each in columns))
 
     def subset(self, where: Mask) -> TrueLabels:
-        """The labels where a mask is true."""
+        """Return the labels of the points where a mask is true."""
         return TrueLabels(*(each[..., where] for each in vars(self).values()))
 
 
@@ -63,16 +64,16 @@ class TrueLabels:
 class CasePoints:
     """A stress case as arrays of shape (points,)."""
 
-    name: str  # name of the case
+    name: str
     points: Points
     base: Points  # the points before the additions of the case
     duration: Array  # time units
-    names: np.ndarray  # names of the points, from the values that vary within the case
+    names: np.ndarray  # names of the points, made of the values that vary within the case
     may_stay_unresolved: str
     truth: str | Callable[[Points], Any]  # as in StressCase
 
     def subset(self, where: Mask) -> CasePoints:
-        """The points where a mask is true."""
+        """Return the case with only the points where a mask is true."""
         return replace(
             self,
             points=subset(self.points, where),
@@ -83,7 +84,7 @@ class CasePoints:
 
 
 def case_points(system: System, case: StressCase) -> CasePoints:
-    """Points of a case: columns and defaults, the solved parameter of the family, then the additions."""
+    """Return the points of a case. The family's parameter is solved for first; then the additions are made."""
     varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
     size = max((values.size for values in varying.values()), default=1)
     points, _ = point_columns(
@@ -104,7 +105,7 @@ def case_points(system: System, case: StressCase) -> CasePoints:
 
 
 def true_labels(system: System, part: CasePoints, settings: RunSettings) -> TrueLabels:
-    """True label and unsteadiness of each point, by the sources in docs/stress.md; ValueError where no source decides."""
+    """Return the true label and unsteadiness of each point, or raise ValueError if no source in docs/stress.md decides."""
     points, duration, truth = part.points, part.duration, part.truth
     if truth == "departure":
         rest, constants = system.initial_state(part.base), system.constants(points)
@@ -152,7 +153,7 @@ def true_labels(system: System, part: CasePoints, settings: RunSettings) -> True
 
 
 def no_statistics(size: int) -> Array:
-    """Statistics of `size` points without exact motions: nan."""
+    """Return statistics of `size` points that follow no exact motion, all NaN."""
     return np.full((len(EXACT_STATISTICS), size), np.nan)
 
 
@@ -163,7 +164,7 @@ def _labels_of_runs(
     source: str,
     departure_error: Array | None = None,
 ) -> TrueLabels:
-    """Labels from the statistics of exact motions or of departures; departure_error: relative error of the latter, (points,)."""
+    """Return labels from statistics; `departure_error` is the relative error of statistics of departures, (points,)."""
     measured = {name: np.array([run[name] for run in runs]) for name in (*EXACT_STATISTICS, "outside")}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
     if departure_error is None:
@@ -192,17 +193,18 @@ def _labels_of_runs(
 def _departures(
     system: System, rest: Array, offset: Array, constants: Array, duration: Array, cylinder: float
 ) -> list[dict[str, float]]:
-    """Statistics of runs that start at tiny offsets from equilibria, integrated as one system in the time t / duration.
+    """Return statistics of runs that start at tiny offsets from equilibria.
 
-    The right-hand side is quadratic in the state and 0 at the equilibrium x: with the state x + e d, e the size of the offset,
-    d' = J d + e Q(d), without cancellation for any e.
+    The runs are integrated as one system in the time t / duration. The state is x + e d, where x is the equilibrium and e the
+    size of the offset. The right-hand side is quadratic in the state and vanishes at x, so that d' = J d + e Q(d) with the
+    Jacobian J and the quadratic part Q. This has no cancellation for any e.
     """
     rhs, size, wide = system.equations.rhs, np.abs(offset).max(0), tuple(constants[:, None])
 
     def slope(_: float, flat: Array) -> Array:
-        """d' at d, times the duration."""
+        """Return d' times the duration."""
         d = flat.reshape(rest.shape)
-        states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call costs little more for three states
+        states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call is cheaper than three
         tangent, ahead, behind = np.moveaxis(np.array(rhs(states, wide)), 1, 0)
         return (duration * (tangent.imag / 1e-30 + 0.5 * size * (ahead.real + behind.real))).ravel()
 
@@ -224,7 +226,7 @@ def _departures(
 
 
 def linear_growth(system: System, points: Points, flags: Flags, duration: Array) -> Array:
-    """Logarithms of the growth of a disturbance along steady motions of families with these flags."""
+    """Return the logarithm of the growth of a disturbance along each steady motion; `flags` name the families."""
     motions = {family.flag: family.motion for family in families_of(system).values()}
     starts = [subset(points, slice(i, i + 1)) for i in range(duration.size)]
     runs = zip(flags, starts, duration, strict=True)
@@ -232,11 +234,11 @@ def linear_growth(system: System, points: Points, flags: Flags, duration: Array)
 
 
 def _growth_along(system: System, motion: Any, point: Points, duration: float) -> float:
-    """Logarithm of the norm of the fundamental matrix of the equations linearised along a steady motion."""
+    """Return the logarithm of the norm of the fundamental matrix at the end of a steady motion."""
     size, constants = len(system.equations.STATE), tuple(system.constants(point))
 
     def slope(time: float, flat: Array) -> Array:
-        """Slope of the columns of the fundamental matrix."""
+        """Return the time derivatives of the columns of the fundamental matrix."""
         state = motion(point, np.array([time])).reshape(size, 1)
         columns = system.equations.rhs(state + 1e-30j * flat.reshape(size, size), constants)
         return (np.array(columns).imag / 1e-30).ravel()
@@ -248,9 +250,10 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 def _labels_by_reference(
     system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels by the reference, and a mask of undecided points; phi' of the despun points exceeds the true phi' by `excess`.
+    """Return labels by the reference integrator, and a mask of the points that remain undecided.
 
-    Only a part of a long run is integrated: if the part is unsteady by sqrt(whole / part) tolerances, the whole run drifts.
+    phi' of the despun points exceeds the true phi' by `excess`. Only a part of a long run is integrated. If the part exceeds
+    the tolerance by the factor sqrt(whole / part), the whole run drifts.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

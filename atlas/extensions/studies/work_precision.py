@@ -1,4 +1,4 @@
-"""Work-precision study: errors and run times of a sample of a scene's points at many step sizes."""
+"""Work-precision study, which measures errors and run times at points of a scene for many step sizes."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from ...systems.base import Array
 from ...variables import main_instrument, variables
 from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
-# Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
+# The levels are the scene's tolerance times powers of 10 within these limits, or the scene's step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
-MAX_POINT_STEPS = 5e8  # largest number of steps at a level, summed over the sample
-POINT_STEPS_TIMED = 6_000_000  # number of steps of one timing, summed over its points
-# Points tried for each point of the sample, because the family may not exist at all of them.
+MAX_POINT_STEPS = 5e8  # a level takes at most this many steps, summed over the sample
+POINT_STEPS_TIMED = 6_000_000  # a timing takes about this many steps, summed over the points
+# This many points are tried for each point of the sample, because the family may not exist at some points.
 CANDIDATES_PER_POINT = 16
 
-# Variables over (method, level, sample), seconds_per_point over (method, level): name -> type, long name, units.
+# Type, long name and units of each variable over (method, level, sample); seconds_per_point is over (method, level).
 VARIABLES = {
     "error_state": (float, "largest error of a component of the final state, angular velocities over the frequency bound", "1"),
     "error_rates": (float, "error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound", "1"),
@@ -56,7 +56,7 @@ VARIABLES = {
     "seconds_per_point": (float, "processor time to the end of the run", "s"),
 }  # fmt: skip
 
-# Variables with another meaning for systems with observables.
+# These variables have another meaning for systems with observables.
 OF_OBSERVABLES = {
     "error_state": (float, "largest error of a component of the final state", "1"),
     "error_rates": (float, "error of the least accurate statistic of an observable, over its largest magnitude", "1"),
@@ -64,7 +64,7 @@ OF_OBSERVABLES = {
 
 
 def levels(settings: Settings) -> tuple[str, list[float]]:
-    """The quantity that is varied ("tolerance" or "step") and its values, coarse to fine."""
+    """Return the name of the quantity that is varied ("tolerance" or "step"), and the values from coarse to fine."""
     if settings.step is not None:
         return "step", [settings.step * 2.0**k for k in STEP_EXPONENTS]
     above = math.floor(math.log10(MAX_TOLERANCE) - math.log10(settings.tolerance) + 1e-9)
@@ -74,19 +74,19 @@ def levels(settings: Settings) -> tuple[str, list[float]]:
 
 
 def scene_level(settings: Settings) -> int:
-    """Index of the scene's own setting among its levels."""
+    """Return the index of the scene's own setting among the levels."""
     _, values = levels(settings)
     value = settings.step if settings.step is not None else settings.tolerance
     return int(np.abs(np.log(np.array(values) / value)).argmin())
 
 
-# Results of a method at a level by the names of the dataset's variables, arrays (points,) but for the number `seconds_per_point`.
+# Results of a method at a level, by the names of the dataset's variables. All but `seconds_per_point` are arrays (points,).
 Columns: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class _Sample:
-    """Points of a scene with their reference solution; arrays of shape (points,)."""
+    """Points of a scene with a reference solution, in arrays of shape (points,)."""
 
     scene: Scene
     indices: np.ndarray  # indices of the points in the flattened grid of the scene
@@ -97,17 +97,17 @@ class _Sample:
 
     @property
     def rates_uncertainty(self) -> Array:
-        """Uncertainty of the least certain statistic of the reference, see `worst`."""
+        """Largest uncertainty of a statistic of the reference, relative to the same scale as in `worst`."""
         return self.worst(self.reference.statistics_error)
 
     def worst(self, errors: Mapping[str, Array]) -> Array:
-        """Largest error of a statistic, divided by the frequency bound for a rate, by its magnitude for an observable."""
+        """Return the largest error of a statistic, relative to the frequency bound (rates) or to the magnitude (observables)."""
         system = self.scene.system
         return main_instrument(system).largest(system, self.reference.statistics, errors, self.bound)
 
 
 def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
-    """Errors and run times of a sample of points of a scene by every method at many levels, see docs/accuracy.md."""
+    """Measure errors and run times of every method at many levels, for a sample of points of a scene."""
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")
     stopwatch = Stopwatch()
@@ -120,7 +120,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     bar = Progress(indices.size, show=progress)
 
     def advance(points: float) -> None:
-        bar.advance(points / (2 + len(METHODS)))  # two runs of the reference, one of each method
+        bar.advance(points / (2 + len(METHODS)))  # two runs by the reference, one by each method
 
     try:
         sample = _with_reference(scene, indices, advance)
@@ -141,7 +141,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
 
 
 def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sample:
-    """The points with a reference solution; BadInput for fewer than 2."""
+    """Return the points that have a reference solution. Raise BadInput if fewer than two remain."""
     system, method, left_out = scene.system, METHODS[scene.settings.method], ""
     part = grid.points_at_indices(scene, indices)
     part = replace(part, duration=whole_periods(system, system.constants(part.points), part.duration)[1])
@@ -165,7 +165,7 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
 
 
 def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, Columns]]:
-    """Index and result of each level of a method, coarse to fine, until smaller steps no longer reduce the error."""
+    """Yield index and result of each level from coarse to fine. Stop when smaller steps no longer reduce the error."""
     settings, part = sample.scene.settings, sample.grid
     name, values = levels(settings)
     at_levels = [replace(settings, method=method, **{name: value}) for value in values]  # type: ignore[arg-type]
@@ -176,7 +176,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     step_sizes = [each.after(np.asarray(part.transient), part.duration) for each in step_sizes]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
-    # Of levels with equal steps one is run, the scene's own or else the finest, unless it takes too long.
+    # Of levels with equal numbers of steps only one is run: the scene's own level, or else the finest, if it does not take too long.
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -208,7 +208,7 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
     ensemble = after_transient(plan, sample.grid.points, ensemble, step_sizes)
     final = ensemble.final_states(module, step_sizes.steps, step_sizes.step_size)
     solution, label = sample.reference, measured["label"]
-    # No error is below the uncertainty of the reference.
+    # Errors are at least as large as the uncertainty of the reference.
     with np.errstate(invalid="ignore"):
         not_finite = ~np.isfinite(final).all(0)
         distance = np.where(not_finite, np.inf, state_distance(system, final, solution.state, sample.bound))
@@ -240,7 +240,7 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
 
 
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
-    """Mean processor time of a point, from the median time of a step for each number of steps per sample."""
+    """Return the mean processor time of a point. The time of a step is measured for each number of steps per sample."""
     counts, size = step_sizes.steps_per_sample.tolist(), step_sizes.steps.size
     repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
@@ -253,7 +253,7 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
             steps_per_sample=np.full(repeated.size, count),
         )
         times = []
-        for _ in range(6):  # the first may load or compile the kernel
+        for _ in range(6):  # the first call may load or compile the kernel
             began = process_time()
             ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=Threads(1))
             times.append(process_time() - began)
@@ -262,19 +262,19 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
 
 
 def _kernel(scene: Scene, method: str) -> ModuleType:
-    """The kernel for the points of a scene with a method."""
+    """Return the kernel that integrates the points of a scene by `method`."""
     return kernel(scene.system, method, Plan.of(scene).specialization)
 
 
 def _on_axes(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
-    """Coordinates of some points of a scene, by axis."""
+    """Return the coordinates of some points of a scene, by axis."""
     on_grid = np.unravel_index(indices, scene.shape)
     axes = zip(scene.axes.values(), on_grid, strict=True)
     return {axis.name: np.asarray(axis.values)[index] for axis, index in axes}
 
 
 def points_text(on_axes: Mapping[str, Array], most: int) -> str:
-    """The coordinates of at most `most` points, and the number of the other points, in words."""
+    """Return a text with the coordinates of the first `most` points and the number of the other points."""
     texts = [
         ", ".join(f"{name} = {value:.6g}" for name, value in zip(on_axes, point, strict=True))
         for point in zip(*on_axes.values(), strict=True)
@@ -283,7 +283,7 @@ def points_text(on_axes: Mapping[str, Array], most: int) -> str:
 
 
 def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.Dataset:
-    """The results, by (index of the method, index of the level), as a dataset."""
+    """Return a dataset of the results. The keys of `results` are indices of method and level."""
     scene, solution = sample.scene, sample.reference
     name, values = levels(scene.settings)
     dims, shape = ("method", "level", "sample"), (len(METHODS), len(values), sample.indices.size)
@@ -308,12 +308,12 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
         for cell, result in results.items():
             column[cell] = result[variable]
         ds[variable] = dims[:rank], column, {"long_name": long_name, "units": units}
-    # Observed order: median over the points of log(error ratio) / log(step ratio); NaN where too few points show it.
+    # The observed order is the median over the points of log(error ratio) / log(step ratio), NaN if too few points show an order.
     error, step = ds["error_state"].values, ds["step_length"].values
     order = np.full(error.shape[:2], np.nan)
     with np.errstate(all="ignore"):
         ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
-    # Errors near the uncertainty of the reference, or far from convergence, show no order.
+    # Errors that are close to the uncertainty of the reference, or larger than 0.01, show no order.
     usable = (error[:, 1:] > 10 * solution.state_error) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
     for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
         order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
@@ -338,18 +338,18 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
 
 
 def uncertainty_name(quantity: str) -> str:
-    """Name of the variable with the uncertainty of the reference: of "state", "rates" or a statistic."""
+    """Return the name of the variable that holds the uncertainty of "state", of "rates" or of a statistic."""
     return "reference_error" + ("" if quantity == "state" else f"_{quantity}")
 
 
 def nanmedian(values: Array) -> float:
-    """Median of the values that are not NaN; NaN, without a warning, if there are none."""
+    """Return the median of the values that are not NaN, or NaN without a warning if all values are NaN."""
     values = values[~np.isnan(values)]
     return float(np.median(values)) if values.size else math.nan
 
 
 def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
-    """Medians, largest values and counts over the points, a row for each method and level that was run."""
+    """Return a row for each method and level that was run, with medians, largest values and counts over the points."""
     name, rows = ds.attrs["ladder"], []
     for method in ds["method"].values:
         for level in range(ds.sizes["level"]):
@@ -385,13 +385,13 @@ def _statistics(ds: xr.Dataset) -> list[str]:
 
 
 def _median_and_largest(at: xr.Dataset, quantity: str) -> dict[str, float]:
-    """Median and largest error of the states, the rates or a statistic, by the column names of the table."""
+    """Return the median and the largest error of `quantity`, by the column names of the table."""
     values = at[f"error_{quantity}"].values
     return {f"error_{quantity}": nanmedian(values), f"error_{quantity}_largest": nanmax(values)}
 
 
 def table(ds: xr.Dataset) -> str:
-    """`summary` as CSV."""
+    """Return `summary` as text in CSV."""
     rows = summary(ds)
     lines = [",".join(rows[0])]
     lines += [",".join(v if isinstance(v, str) else repr(v) for v in row.values()) for row in rows]
@@ -408,7 +408,7 @@ drift: largest relative change of a first integral; order: observed from the lev
 
 
 def report(ds: xr.Dataset) -> str:
-    """The study as plain text: header, table of the levels, table of the statistics, advice."""
+    """Return the study as plain text, with tables of the levels and of the statistics, and with advice."""
     rows = summary(ds)
     worst = attribute_text(ds["error_rates"].attrs, "long_name")
     legend = LEGEND.format(measured=f"{ds.attrs['measured']}: median {worst}")
@@ -452,13 +452,13 @@ def report(ds: xr.Dataset) -> str:
 
 
 def _at_row(ds: xr.Dataset, row: Mapping[str, Any]) -> xr.Dataset:
-    """The dataset at the method and level of a row of the summary."""
+    """Return the dataset at the method and level of a row of `summary`."""
     name = ds.attrs["ladder"]
     return ds.sel({"method": row["method"]}).isel(level=int(np.abs(ds[name].values - row[name]).argmin()))
 
 
 def _error_texts(at: xr.Dataset, quantity: str) -> tuple[str, str]:
-    """Median and largest error, with <= where it is close to the uncertainty of the reference."""
+    """Return the median and the largest error as text. The sign <= marks an error close to the uncertainty of the reference."""
     error = at[f"error_{quantity}"].values
     uncertainty = np.where(np.isnan(error), np.nan, at[uncertainty_name(quantity)].values)
     texts = []
@@ -469,7 +469,7 @@ def _error_texts(at: xr.Dataset, quantity: str) -> tuple[str, str]:
 
 
 def advice(ds: xr.Dataset) -> str:
-    """Which method and level reach the scene's tolerance, or the error of its own step, at the least cost."""
+    """Return advice on the cheapest setting that reaches the scene's tolerance, or the error of the scene's own step."""
     name, rows, measured = ds.attrs["ladder"], summary(ds), ds.attrs["measured"]
     own = next((row for row in rows if row["own_setting"]), None)
     if name == "tolerance":
@@ -480,7 +480,7 @@ def advice(ds: xr.Dataset) -> str:
     else:
         target = _median_error(own)
         target_text = f"the scene's own median error in states and {measured}, {target:.2g}"
-    # A setting is adequate only if no other has fewer unresolved or wrong labels.
+    # A setting is adequate only if no other setting has fewer unresolved or fewer wrong labels.
     label_errors = [(row["labels_unresolved"], row["labels_wrong"]) for row in rows]
     fewest = tuple(min(numbers) for numbers in zip(*label_errors, strict=True))
     adequate = [
@@ -503,14 +503,14 @@ def advice(ds: xr.Dataset) -> str:
 
 
 def _median_error(row: Mapping[str, Any]) -> float:
-    """The larger of the median errors of states and rates."""
+    """Return the larger of the median errors of states and rates."""
     return max(row["error_state"], row["error_rates"])
 
 
 def _cheapest_text(
     ds: xr.Dataset, row: Mapping[str, Any], own: Mapping[str, Any] | None, target: float, target_text: str
 ) -> str:
-    """Advice to use the cheapest setting."""
+    """Return the advice to use the cheapest setting."""
     name = ds.attrs["ladder"]
     text = (
         f"Cheapest for {target_text}: {row['method']} with {name} = {row[name]:.3g},"
@@ -527,7 +527,7 @@ def _cheapest_text(
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _points_above(ds, row, target)
-    if above and name == "tolerance":  # else the target is a median, which half of the points exceed
+    if above and name == "tolerance":  # for a step the target is a median, which half of the points exceed
         text += f"; {above} of {ds.sizes['sample']} points have larger errors, the largest at {names}"
         uncertain = np.fmax(ds["reference_error"].values, ds["reference_error_rates"].values) > target
         if uncertain.any():
@@ -536,7 +536,7 @@ def _cheapest_text(
 
 
 def _points_above(ds: xr.Dataset, row: Mapping[str, Any], target: float, most: int = 3) -> tuple[int, str]:
-    """Number of points with an error in states or rates (or observables) above the target, and the worst points in words."""
+    """Return the number of points with an error above `target`, and a text with the worst of these points."""
     at = _at_row(ds, row)
     error = np.fmax(at["error_state"].values, at["error_rates"].values)
     above = np.flatnonzero(error > target)
@@ -547,5 +547,5 @@ def _points_above(ds: xr.Dataset, row: Mapping[str, Any], target: float, most: i
 
 
 def nanmax(values: Array) -> float:
-    """Largest of the values that are not NaN; NaN, without a warning, if there are none."""
+    """Return the largest of the values that are not NaN, or NaN without a warning if all values are NaN."""
     return float(np.fmax.reduce(values))

@@ -1,11 +1,9 @@
-"""Lagrange's equations (5)-(7) of the satellite in Euler angles, corrected; equations.toml has them as printed.
+"""Lagrange's equations (5)-(7) of the satellite in Euler angles, with corrections.
 
-They are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021 (doi
-10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_lagrange.py` derives them. They give the
-accelerations of the Euler-Poisson equations of equations.py except at sin theta = 0, where the matrix of the
-second derivatives, of determinant A B C sin^2 theta, is singular and the result not finite. State and
-constants are in the order of STATE and CONSTANTS, as in equations.py; sin and cos are the only names from
-elsewhere.
+`tests/systems/test_satellite_lagrange.py` derives the equations from the Lagrangian (2), (3) of Yehia & El-kenani 2021
+(doi 10.22055/JACM.2021.37913.3113). The file equations.toml contains the equations as printed. The accelerations are
+equal to those of the Euler-Poisson equations except at sin theta = 0. There the matrix of the second derivatives, whose
+determinant is A B C sin^2 theta, is singular, and the result is not finite.
 """
 
 from numpy import cos, sin
@@ -16,12 +14,12 @@ STATE = ("psi", "theta", "phi", "psi_dot", "theta_dot", "phi_dot")
 
 
 def rhs(state, constants):
-    """Time derivatives of the state: angles in rad, in the orbital frame."""
+    """Return the time derivatives of the state. The angles are in rad, relative to the orbital frame."""
     psi, theta, phi, psi_dot, theta_dot, phi_dot = state
     A, B, C = constants[:3]
     s, c, sf, cf = sin(theta), cos(theta), sin(phi), cos(phi)
     first, second, third = equations(state, (0.0, 0.0, 0.0), constants)
-    # The third equation eliminates phi'' from the first, whose second derivatives then have a factor s.
+    # The first equation minus c times the third contains no phi'', and the other second derivatives have a factor s.
     node = (c * third - first) / s
     mixed = (A - B) * sf * cf
     psi_accel = ((A * cf * cf + B * sf * sf) * node + mixed * second) / (A * B * s)
@@ -30,7 +28,7 @@ def rhs(state, constants):
 
 
 def equations(state, accelerations, constants):
-    """Left sides of (5), (6) and (7), corrected; zero on a motion. Torques about normal, node and axis."""
+    """Return the corrected left sides of (5)-(7), which are torques about normal, node and axis and vanish on a motion."""
     psi, theta, phi, psi_dot, theta_dot, phi_dot = state
     psi_accel, theta_accel, phi_accel = accelerations
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
@@ -42,7 +40,7 @@ def equations(state, accelerations, constants):
     a1, a2, a3 = cp * cf - c * sf * sp, -cp * sf - c * cf * sp, s * sp
     b1, b2, b3 = sp * cf + c * sf * cp, -sp * sf + c * cf * cp, -s * cp
     g1, g2, g3 = s * sf, s * cf, c
-    # Gradient of V of (3): d alpha / d psi = -beta, and d/d theta turns alpha and gamma about the node.
+    # V is the potential in (3). A change of psi changes alpha by -beta; a change of theta turns alpha and gamma about the node.
     gravity = 3 * Omega * Omega
     V_psi = -gravity * (A * a1 * b1 + B * a2 * b2 + C * a3 * b3) - h1 * (mu1 * b1 + mu2 * b2 + mu3 * b3)
     V_theta = gravity * sp * (s * (A * sf * a1 + B * cf * a2) + C * c * a3)

@@ -1,4 +1,4 @@
-"""Equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, printed and true, with the residuals of both."""
+"""Equations of Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) as printed and as corrected, with residuals."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 
 
 def random_point(rng: np.random.Generator) -> Point:
-    """A random point of order 1, with Omega = 1."""
+    """Return a random point with parameters of order 1 and Omega = 1."""
     absent = ("drag1", "drag2", "drag3", "damping")  # torques that the paper does not have
     names = [name for name in PARAMETERS if name not in absent]
     point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in names}
@@ -39,7 +39,7 @@ def random_point(rng: np.random.Generator) -> Point:
 
 
 def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """The point with further values: numbers, or expressions in earlier names."""
+    """Return the point with further values, which are numbers or expressions in earlier names."""
     point = dict(point)
     for name, value in values.items():
         point[name] = expression(name, str(value)).value(point) + np.zeros(1)
@@ -47,15 +47,15 @@ def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
 
 
 def euler_state(point: Point) -> list[Array]:
-    """psi, theta, phi and their rates at the start, in the order of lagrange.STATE."""
+    """Return psi, theta, phi and the three rates at the start, in the order of lagrange.STATE."""
     return [point[name] for name in STATE]
 
 
-# Conditions: the residual is measured on the motion.
+# A condition is measured by the residual of the motion that satisfies it.
 
 
 def residual(point: Point) -> float:
-    """Largest error of the acceleration at 13 instants of the steady motion w' = n gamma + m e3 of one point."""
+    """Return the largest error of the acceleration along the steady motion with the relative angular velocity n gamma + m e3."""
     t = np.linspace(0.0, 13.0, 13)
     state = steady_motion(point, t)
     rates = np.array(rhs(state, constants(point)[:, None]))
@@ -71,7 +71,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Amount by which a true motion violates the printed limits; for the true reading, the residual of the motion."""
+    """Return the amount by which a true motion exceeds the printed limits, or for the true reading the motion's residual."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)
@@ -84,7 +84,7 @@ TIMES = np.linspace(0.0, 13.0, 13)
 
 
 def _along(entry: Entry, reading: str, point: Mapping[str, Any], step: complex = 0) -> list[Array]:
-    """w, alpha, gamma and beta of a closed form at TIMES + step."""
+    """Return w, alpha, gamma and beta of a closed form at the instants TIMES + step."""
     form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
     values = {**point, "t": TIMES + step}
     alpha, beta, gamma, turn = (
@@ -95,7 +95,7 @@ def _along(entry: Entry, reading: str, point: Mapping[str, Any], step: complex =
 
 
 def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
+    """Return the largest error of the rates and of beta = gamma x alpha along a closed form of the motion."""
     point = with_values(random_point(rng), entry["start"])
     w, alpha, gamma, beta = _along(entry, reading, point)
     # A derivative by a complex step is exact to round-off.
@@ -106,7 +106,7 @@ def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest difference between w, computed from the inertial axes X, Y, Z in the body, and the stated precession and spin."""
+    """Return the largest error of the stated precession and spin, compared with w computed from the axes X, Y, Z."""
     motion = ENTRIES[entry["motion"]]
     point = with_values(random_point(rng), motion["start"])
 
@@ -117,17 +117,17 @@ def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
         return np.array([cosine * alpha - sine * beta, sine * alpha + cosine * beta, gamma])
 
     values, rates = axes(), axes(1e-30j).imag / 1e-30
-    w = -0.5 * np.cross(values, rates, axis=1).sum(0)  # e' = e x w for each axis e
+    w = -0.5 * np.cross(values, rates, axis=1).sum(0)  # solves e' = e x w for the three axes e
     texts = entry.get("inertial_true", entry["inertial"]) if reading == "true" else entry["inertial"]
     precession, spin = (expression(entry["number"], str(text)).value(point) for text in texts)
     return float(np.abs(w - precession * values[2] - spin * np.array([[0.0], [0.0], [1.0]])).max())
 
 
-# Lagrange's equations on theta = theta0, psi = psi0 + n t, phi = m t: (8)-(13), and section 4.2, n/m irrational.
+# Equations (8)-(13) and those of section 4.2 hold on the motion theta = theta0, psi = psi0 + n t, phi = m t.
 
 
 def instant(entry: Entry, rng: np.random.Generator, point: Point) -> dict[str, Any]:
-    """The instant t at which an equation is stated, and `even`, (-1)^i of (35) or (-1)^j of (39)."""
+    """Return the instant `t` at which an equation is stated, and `even`, which is (-1)^i in (35) and (-1)^j in (39)."""
     if "time" not in entry:
         return {"t": rng.uniform(0.5, 5.0), "even": 1}
     if entry["time"] == 35:
@@ -138,17 +138,17 @@ def instant(entry: Entry, rng: np.random.Generator, point: Point) -> dict[str, A
 
 
 def parts(point: Mapping[str, Any]) -> dict[str, Any]:
-    """A point at an instant, with the abbreviations of section 4."""
+    """Return the point with the abbreviations of section 4."""
     return with_values(point, CONTENT["abbreviations"])
 
 
 def left_side(entry: Entry, reading: str, values: Mapping[str, Any]) -> Array:
-    """Sum of the terms of an equation in one reading."""
+    """Return the left side of an equation in the reading "printed" or "true"."""
     return side(entry, reading, ENTRIES, lambda term: expression(entry["number"], term).value(values))
 
 
 def true_left_side(point: Point, t: Any, number: int) -> Array:
-    """Left side of (5), (6) or (7), corrected, on the regular precession."""
+    """Return the left side of the corrected equation (5), (6) or (7) on the regular precession."""
     moved = {**point, "psi0": point["psi0"] + point["n"] * t, "phi0": point["m"] * t}
     zero = np.zeros(1)
     return lagrange.equations(euler_state(moved), (zero, zero, zero), constants(moved))[number - 5]
@@ -169,17 +169,17 @@ def _largest_residual(entry: Entry, reading: str, rng: np.random.Generator) -> f
     return max(float(np.abs(expression("vanish", text).value(values)).max()) for text in entry["vanish"])
 
 
-# Measures without an expression: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
+# The functions below measure errors that no expression of an entry gives.
 
 
 def _free(rng: np.random.Generator) -> Point:
-    """A random state of any body with sin theta not small."""
+    """Return a random state of a random body, in which sin theta is not small."""
     rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
     return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
 
 
 def _at_state(rng: np.random.Generator) -> dict[str, Any]:
-    """A random state with its true accelerations, by the names of [state]."""
+    """Return a random state and the true accelerations, by the names in the table [state]."""
     p = _free(rng)
     state = euler_state(p)
     accelerations = lagrange.rhs(state, constants(p))[3:]
@@ -188,7 +188,7 @@ def _at_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Difference of (4) from (2) with (3), by the vectors of (1), at a random state."""
+    """Return the error of the Lagrangian (4) at a random state. The exact value is (2) with the potential (3)."""
     p = _at_state(rng)
     alpha, gamma = directions(p)
     inertia, k, mu = body_vectors(p)
@@ -208,14 +208,14 @@ def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
 
 
 def determinant_quotient(angles: Array) -> float:
-    """c_* of (43): the determinant divided by the product of sines on the right side."""
+    """Return c_* in (43), which is the determinant divided by the product of sines."""
     columns = [np.cos(2 * angles), np.sin(2 * angles), np.cos(angles), np.sin(angles), np.ones(5)]
     pairs = [np.sin((angles[j] - angles[i]) / 2) for i in range(5) for j in range(i + 1, 5)]
     return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
 
 
 def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Relative difference of c_* of (43) between two random sets of well separated angles."""
+    """Return the relative difference of c_* in (43) between two random sets of well separated angles."""
     first, second = (
         determinant_quotient(2 * np.pi / 5 * (np.arange(5) + rng.uniform(0, 0.7, 5))) for _ in range(2)
     )
@@ -223,7 +223,7 @@ def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of alpha' = alpha x w', gamma' = gamma x w', |alpha| = 1 and alpha.gamma = 0 at a random state of (1)."""
+    """Return the largest error of alpha' = alpha x w, gamma' = gamma x w, |alpha| = 1 and alpha.gamma = 0 at a random state."""
     p = _free(rng)
     moved = {angle: p[angle] + 1e-30j * p[rate] for angle, rate in zip(STATE[:3], STATE[3:], strict=True)}
     still, moving = directions(p), np.imag(directions(p | moved)) / 1e-30
@@ -233,7 +233,7 @@ def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest difference between w' by Lagrange's equations, corrected, and by the Euler-Poisson equations, relative to w'."""
+    """Return the relative difference between dw/dt by Lagrange's equations and by the Euler-Poisson equations."""
     p = with_values(_free(rng), entry.get(f"as_{reading}", {}))
     state = np.array(euler_state(p))
 
@@ -247,15 +247,15 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Fraction of the true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 minus this fraction."""
+    """Return the share of true conditions that hold in the Euler-Poisson equations, or 1 - share for the true reading."""
     kept = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in kept if "form" not in row])
     return float(share if reading == "printed" else 1 - share)
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """For an entry with `rho` the error of rho at amplitude 0, else the largest residual of the equation of pitch by finite differences."""
-    from ..plane.motions import PlaneMotions  # another extension
+    """Return the error of `rho` at amplitude 0 if the entry has `rho`, else the largest residual of the equation of pitch."""
+    from ..plane.motions import PlaneMotions  # this extension may be missing
 
     p = with_values(random_point(rng), entry["plane"])
     motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
@@ -268,8 +268,8 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest |f^4 - P f^2 + Q| at the frequencies f of the normal form of a random motion."""
-    from ..normal_form.nonlinear import NormalForm, derivatives  # another extension
+    """Return the largest |f^4 - P f^2 + Q| for the frequencies f of the normal form of a random motion."""
+    from ..normal_form.nonlinear import NormalForm, derivatives  # this extension may be missing
 
     p = with_values(random_point(rng), entry["normal_form"])
     rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
@@ -280,7 +280,7 @@ def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """10 minus the rank of ten equations (36) for the coefficients of even and of odd i, with an irrational n/m."""
+    """Return 10 minus the rank of ten equations (36) in the coefficients of even i and of odd i, for an irrational n/m."""
     i = np.arange(1, 11)
     x = np.pi * i * np.sqrt(2) * (1 + rng.integers(1, 4))
     waves = np.array([np.cos(2 * x), np.sin(2 * x), np.cos(x), np.sin(x), np.ones(10)])
@@ -288,7 +288,7 @@ def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Least distance of the line along e3 through the satellite from the orbit's normal through the Earth, in radii of the orbit."""
+    """Return the distance, in radii of the orbit, of the line along e3 from the orbit's normal through the Earth."""
     psi0 = 0.0 if reading == "printed" else np.pi / 2
     p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
     alpha, gamma = directions(p)
@@ -297,7 +297,7 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# Number of an equation, or key of its entry -> function that measures the error of the equation.
+# Functions that measure the error of an equation, by number of the equation or by a key of the equation's entry.
 MEASURES: dict[str, EntryMeasure | None] = {
     "(1)": _kinematics,
     "(2), (3)": _both_forms,
@@ -318,7 +318,7 @@ MEASURES: dict[str, EntryMeasure | None] = {
     "start": _condition,
 }
 
-# Keys of MEASURES that need the extension of the same name, where it is not installed.
+# These keys of MEASURES need an extension of the same name, which is not installed.
 MISSING = [name for name in ("plane", "normal_form") if name not in extensions()]
 if MISSING:
     text = " and ".join(MISSING)

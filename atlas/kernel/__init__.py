@@ -1,1 +1,1 @@
-"""The kernel: any system integrated with floats and arrays only; step sizes, statistics, generated and cached machine code."""
+"""Integration of any system with floats and arrays alone, including step sizes, statistics and cached machine code."""

@@ -1,4 +1,4 @@
-"""Source text of a kernel: `integrate` and its callees, the equations of a system, and functions that `generated` declares."""
+"""Assemble the source of a kernel from `integrate`, the equations of a system, and functions that `generated` declares."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ MEASURING = ("integrate", "observe")
 def reachable(
     functions: tuple[Any, ...], stubs: ModuleType = generated, absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """Functions that `functions` reach, their sources, and numbers that they use, by name, callees first, without names in `stubs`.
+    """Return the functions that `functions` reach, the sources, and the numbers that the sources use, each by name.
 
-    The sources contain numbers in place of members of enumerations, and no blocks `if name:` of absent names.
+    Callees come first, and names in `stubs` are left out. In the sources, numbers replace the members of enumerations, and
+    blocks `if name:` are removed if `absent` contains the name.
     """
     trees: dict[str, dict[str, ast.FunctionDef]] = {}
     objects: dict[str, Any] = {}
@@ -57,17 +58,17 @@ def reachable(
 
 
 def file_of(of: ModuleType) -> str:
-    """Name of a kernel module without its package; names are compared, not modules, so that no other kernel is imported."""
+    """Return the name of a kernel module without the package. Names are compared so that no other kernel is imported."""
     return of.__name__.rpartition(".")[2]
 
 
 def entries(of: ModuleType, plugs: Sequence[Plug]) -> tuple[Any, ...]:
-    """Functions of plugs that a kernel calls, and its `integrate`."""
+    """Return the functions of `plugs` that a kernel calls, and `integrate` of the kernel module `of`."""
     return *dict.fromkeys(plug.add_node for plug in plugs if plug.add_node), of.integrate
 
 
 class _Stripped(ast.NodeTransformer):
-    """Replaces members and sizes of a module's enumerations by numbers, and removes the blocks `if name:` of absent names."""
+    """Replace members and sizes of enumerations by numbers, and remove the blocks `if name:` whose name is in `absent`."""
 
     def __init__(self, namespace: Mapping[str, Any], absent: Collection[str]):
         enums = {name: value for name, value in namespace.items() if isinstance(value, type)}
@@ -104,12 +105,12 @@ def source(
     of: ModuleType = integrate,
     plugs: tuple[Plug, ...] = (),
 ) -> str:
-    """Text of a compiled kernel module of a system's equations and a method.
+    """Return the text of a kernel module for a system's equations and a method.
 
-    `zero` and `equal` name constants that are 0, or equal to another one, at every point. Raises BadInput for equations
-    that cannot be differentiated, and for a first integral or a loss with the name of a function of the kernel.
+    `zero` and `equal` name constants that are 0 or equal to another constant at every point. Raise BadInput if the equations
+    cannot be differentiated, or if a first integral or a loss has the name of a function of the kernel.
     """
-    from . import machine_code  # imported here: drawing atlases needs no compiler
+    from . import machine_code  # imported here because drawing an atlas needs no compiler
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
@@ -134,7 +135,7 @@ def source(
 def generated_numbers(
     equations: ModuleType, method: Method, of: ModuleType, plugs: Sequence[Plug]
 ) -> dict[str, Any]:
-    """The numbers that `generated` declares."""
+    """Return the numbers that `generated` declares, by name."""
     plugged, observables = sum(plug.sums for plug in plugs), len(observable_names(equations))
     strobed = len(getattr(equations, "STROBED", ()))
     measured = {
@@ -171,7 +172,7 @@ def generated_functions(
     of: ModuleType,
     plugs: Sequence[Plug],
 ) -> dict[str, str]:
-    """Name -> source of the simplified equations and of the functions that `generated` declares."""
+    """Return the sources, by name, of the simplified equations and of the functions that `generated` declares."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
@@ -229,18 +230,18 @@ def generated_functions(
 
 
 def observable_names(equations: ModuleType) -> tuple[str, ...]:
-    """Names of the observables in completed equations; none for a body in a frame."""
+    """Return the names of the observables in completed equations. A body in a frame has no observables."""
     return getattr(equations, "OBSERVABLES", ())
 
 
 def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Functions of the observables with their differentials, by name, and lines that call them all."""
+    """Return sources of observables and differentials by name, and the lines of the functions that call these sources."""
     changes, values, slopes, lines = dict[str, str](), [], [], []
 
     def value(name: str) -> str:
-        """Text of the value of an observable: a state, or a call of its function, which moves from `sources` to `changes`."""
+        """Return an expression for an observable. A function of the observable moves from `sources` to `changes`."""
         if name not in sources:
             return f"state[{list(equations.STATE).index(name)}]"
         changes[f"observable_{name}"] = sources.pop(name).replace(
@@ -255,7 +256,7 @@ def _observable_functions(
             slopes.append(f"change[{list(equations.STATE).index(name)}]")
             continue
         head, _, result = text.rpartition("return ")
-        changes[change] = differential(f"{head}return ({result},)", change)  # `differential` takes tuples
+        changes[change] = differential(f"{head}return ({result},)", change)  # `differential` needs a tuple
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
     rows = ", ".join(f"nodes[slot, row + {k}, l]" for k in range(len(values)))
@@ -270,7 +271,7 @@ def _observable_functions(
 
 
 def _extended_lines(states: int, extended: int) -> list[str]:
-    """Body of `extended_rhs`: the derivatives of the state, and of the tangent vector."""
+    """Return the lines of `extended_rhs`, which gives the derivatives of the state and of the tangent vector."""
     names = [f"y{i}" for i in range(extended)]
     slopes = [f"k{i}" for i in range(extended)]
     return [
@@ -283,7 +284,7 @@ def _extended_lines(states: int, extended: int) -> list[str]:
 
 
 def _column_lines(name: str, rows: int) -> dict[str, list[str]]:
-    """Functions that read and write column l of a block as a tuple."""
+    """Return the lines of functions that read and write column l of a block as a tuple."""
     column = f"({', '.join(f'block[{i}, l]' for i in range(rows))},)"
     return {
         f"load_{name}(block, l)": [f"return {column}"],
@@ -292,19 +293,19 @@ def _column_lines(name: str, rows: int) -> dict[str, list[str]]:
 
 
 def _terms(equations: ModuleType, name: str) -> list[str]:
-    """Names of a first integral's terms."""
+    """Return variable names for the terms of a first integral."""
     ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
     return [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
 
 
 def _integral_lines(equations: ModuleType, name: str) -> list[str]:
-    """Lines that assign the sum of a first integral's terms to `total`."""
+    """Return lines that assign the sum of the terms of a first integral to `total`."""
     terms = _terms(equations, name)
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
 
 
 def _plugged_lines(equations: ModuleType, plugs: Sequence[Plug]) -> list[str]:
-    """Lines that add a node to the sums of all instruments."""
+    """Return lines that add a node to the sums of all instruments."""
     lines, row, first = list[str](), 0, 0
     for plug in plugs:
         arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
@@ -317,7 +318,7 @@ def _plugged_lines(equations: ModuleType, plugs: Sequence[Plug]) -> list[str]:
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
-    """Lines that count the nodes at which the energy (the first integral without its accumulated loss) exceeds some levels."""
+    """Return lines that count the nodes whose energy exceeds some levels. The accumulated loss is no part of the energy."""
     name = next(iter(equations.INTEGRALS))
     terms = _terms(equations, name)
     total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)
@@ -331,10 +332,10 @@ def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> li
 
 
 def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
-    """Body of `step`: one step of length method.kernel_step.
+    """Return the lines of `step`, which takes one step of length method.kernel_step.
 
-    The first weight is factored out, so that the weights of rk4 become 1, 2, 2, 1 and the sum needs no multiplications, which
-    limit the speed of the processor. The sum grows stage by stage, so that few slopes are kept at a time.
+    The first weight is factored out, so that the weights of rk4 become 1, 2, 2, 1. The sum then needs no multiplications, and
+    multiplications limit the speed of the processor. The sum grows stage by stage, so that few slopes are kept at a time.
     """
     lines, first = [], method.b[0]
     for stage in range(method.stages):
@@ -347,8 +348,8 @@ def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
 
 
 def _axpy(base: str, coefficients: Iterable[float], factor: float = 1.0) -> str:
-    """A tuple plus the sum of the slopes k, weighted by coefficients times factor; slopes of weight 0 are left out."""
-    # x + x is cheaper than 2 x.
+    """Return text that adds the slopes k to a tuple, weighted by `factor` times `coefficients`. Weights of 0 are left out."""
+    # A slope with the coefficient 2 is added twice, because x + x is cheaper than 2 x.
     pairs = [(a * factor, f"k{j}") for j, a in enumerate(coefficients) if a != 0.0]
     terms = [term for a, k in pairs for term in ([(1.0, k), (1.0, k)] if a == 2.0 else [(a, k)])]
     weights, slopes = (", ".join(str(term[i]) for term in terms) for i in range(2))

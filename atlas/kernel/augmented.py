@@ -1,16 +1,17 @@
-"""Equations with more states: the losses of first integrals, a direction at rest in the frame, a tangent vector.
+"""Equations with additional states for losses of first integrals, a direction at rest in the frame, or a tangent vector.
 
-Where dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has one more state
-for I, its loss L, with L' = R and L = 0 at the start. I + L is a first integral of the equations with this state, so that its
-change measures the error of the integration: L comes from the same Runge-Kutta steps as the motion.
+If dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has an additional state
+L, the loss of I, with L' = R and L = 0 at the start. I + L is a first integral of the extended equations. The change of I + L
+measures the error of the integration, because the same Runge-Kutta steps integrate L and the motion.
 
-A tangent vector obeys the variational equations. The equations may name unit vectors v at rest in the frame (`FRAME_VECTORS`,
-components along body axes: v' = v x u, u the angular velocity relative to the frame). With two or more of them a change of the
-attitude is a rotation by a small vector eta of the body's axes: dv = v x eta, and, by the Jacobi identity,
+A tangent vector obeys the variational equations. The equations may name in FRAME_VECTORS unit vectors v that are at rest in the
+frame. The components of v are along body axes, so that v' = v x u with the angular velocity u relative to the frame. If there
+are two or more such vectors, a small vector eta describes a change of the attitude as a rotation. Then dv = v x eta, and the
+Jacobi identity gives
 
     eta' = du + eta x u.
 
-Three components thus replace the changes of all vectors, and keep lengths and angles; every other state has one component.
+Three components thus replace the changes of all vectors, and preserve lengths and angles. Every other state has one component.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from ..systems import arithmetic
 from ..systems.base import Array
 from .differentiate import PREFIX, differential, function_tree, simplify
 
-# Names under which `with_losses` keeps the functions `scaled` and `unscaled` of the motion alone.
+# `_with_states` keeps the functions `scaled` and `unscaled` of the original states under these names.
 SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
 
 
 def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, str]) -> dict[str, str]:
-    """First integral -> name of the function of its loss, for losses that do not vanish identically."""
+    """Return the name of the loss function of each first integral whose loss does not vanish identically."""
     sources, losses = arithmetic.functions(equations), {}
     for integral, function in getattr(equations, "LOSSES", {}).items():
         match function_tree(simplify(sources[function], zero, equal)).body[-1]:
@@ -43,7 +44,7 @@ def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, 
 
 
 def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
-    """Equations with a state for each of these losses, and without the functions of other losses."""
+    """Return the equations with an additional state for each of these losses. Functions of other losses are removed."""
     unused = {*getattr(equations, "LOSSES", {}).values()} - {*losses.values()}
     sources = {name: text for name, text in arithmetic.functions(equations).items() if name not in unused}
     names = {name: value for name, value in vars(equations).items() if name.isupper()} | {"LOSSES": losses}
@@ -58,10 +59,10 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
 
 @cache
 def with_frame_vector(equations: ModuleType) -> ModuleType:
-    """Equations of a body with `axis_in_frame`; equations without a frame are returned unchanged.
+    """Return the equations with a function `axis_in_frame`. Equations without a frame are returned unchanged.
 
-    Where it is missing, three more states hold the first axis of the frame in body axes, x' = x x u with the angular velocity u
-    of ``frame_motion``. Unlike psi they are regular everywhere.
+    If the function is missing, three additional states x hold the first axis of the frame in body axes. They obey x' = x x u
+    with the angular velocity u from ``frame_motion``. Unlike psi, these states are regular everywhere.
     """
     sources = arithmetic.functions(equations)
     if "axis_in_frame" in sources or "frame_motion" not in sources:
@@ -85,7 +86,7 @@ def with_frame_vector(equations: ModuleType) -> ModuleType:
 
 
 def _new_names(names: Iterable[str], sources: Mapping[str, str]) -> list[str]:
-    """The names, with underscores added until no function uses them."""
+    """Return the names, each with as many underscores as it takes to differ from all names in `sources`."""
     occupied, result = arithmetic.names_in(*sources.values()), []
     for name in names:
         while name in occupied:
@@ -101,7 +102,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """Functions with new states, whose units contain `powers` of a rate; an integral gets its loss as one more term."""
+    """Return functions with new states, whose units contain `powers` of a rate. An integral gets the loss as another term."""
     scaled, unscaled = sources["scaled"], sources["unscaled"]
     extended = {}
     for name, text in sources.items():
@@ -136,12 +137,12 @@ def _with_states(
     }
 
 
-# Initial tangent vector, not normalised, for states and for the rotation; it is in no plane of symmetry.
+# Components of the initial tangent vector before it is normalised. The vector lies in no plane of symmetry.
 START, START_OF_ROTATION = (5.0, -4.0, 6.0), (3.0, 4.0, -3.0)
 
 
 def frame_vectors(equations: ModuleType) -> tuple[tuple[str, str, str], ...]:
-    """Triples of states that are vectors at rest in the frame."""
+    """Return the triples of states that form vectors at rest in the frame."""
     return getattr(equations, "FRAME_VECTORS", ())
 
 
@@ -151,7 +152,7 @@ def rotates(equations: ModuleType) -> bool:
 
 
 def own_components(equations: ModuleType) -> list[int]:
-    """Indices of the states with a component in the tangent vector; the rotation replaces the others."""
+    """Return the indices of the states that have a component in the tangent vector. A rotation replaces the other states."""
     rotated = (
         {name for vector in frame_vectors(equations) for name in vector} if rotates(equations) else set()
     )
@@ -163,7 +164,7 @@ def tangent_size(equations: ModuleType) -> int:
 
 
 def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
-    """Sources by name of ``rhs_change(state, constants, change)`` and ``variation(state, constants, tangent)``.
+    """Return the sources of ``rhs_change(state, constants, change)`` and ``variation(state, constants, tangent)`` by name.
 
     ``variation`` is the time derivative of the tangent vector.
     """
@@ -193,7 +194,7 @@ def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
 
 
 def tangent_start(equations: ModuleType, state: Array) -> Array:
-    """Tangent vectors of norm 1 at the start, (size, points), with rates in the unit in which the norm takes them."""
+    """Return tangent vectors of norm 1 at the start, (size, points). Rates are in the unit in which the norm is taken."""
     names, own = list(equations.STATE), own_components(equations)
     pattern = (*START, *START_OF_ROTATION)
     vectors = frame_vectors(equations)
@@ -201,7 +202,7 @@ def tangent_start(equations: ModuleType, state: Array) -> Array:
     rows = [np.full(state.shape[1], pattern[j % length]) for j in range(len(own))]
     if rotates(equations):
         rows += [np.full(state.shape[1], value) for value in START_OF_ROTATION]
-    elif vectors:  # a change of a unit vector is normal to it
+    elif vectors:  # the change of a unit vector is normal to the vector
         indices = [names.index(name) for name in vectors[0]]
         for i, row in zip(indices, np.cross(state[indices].T, START_OF_ROTATION).T, strict=True):
             rows[own.index(i)] = row

@@ -1,4 +1,4 @@
-"""Time that this process spends on compiling kernels, which measured speeds exclude. This module imports no compiler."""
+"""Time that this process spends on compiling kernels. Measured speeds exclude this time. The module imports no compiler."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ ANNOUNCEMENT = "compiling these equations to machine code, which later runs use 
 
 _lock = threading.Lock()
 _finished = 0.0  # seconds of all finished compilations
-_began: float | None = None  # start of the running compilation; there is only one at a time
+_began: float | None = None  # start of the running compilation; only one runs at a time
 _announcers = 0
 
 
 @contextmanager
 def compilation() -> Iterator[None]:
-    """Context in which one kernel is compiled, which measures the time and announces it."""
+    """Measure and announce the time of the compilation that runs in this context."""
     global _began, _finished
     with _lock:
         _began = time.perf_counter()
@@ -32,14 +32,14 @@ def compilation() -> Iterator[None]:
 
 
 def say(announcement: str) -> None:
-    """Print a line on stderr if some part of the program asks for it."""
+    """Print a line on stderr if some part of the program wants announcements."""
     if _announcers:
         clear_line = "\r\x1b[K" if sys.stderr.isatty() else ""
         print(f"{clear_line}{announcement}", file=sys.stderr, flush=True)
 
 
 def announce(change: int) -> None:
-    """Add 1 or -1 to the number of parts of the program that want a line on stderr when a kernel is compiled."""
+    """Add `change`, 1 or -1, to the number of parts of the program that want announcements."""
     global _announcers
     with _lock:
         _announcers += change
@@ -47,7 +47,7 @@ def announce(change: int) -> None:
 
 @contextmanager
 def announced(show: bool) -> Iterator[None]:
-    """Context in which every kernel that is compiled is announced, if `show` is true."""
+    """Announce every compilation that runs in this context if `show` is true."""
     announce(int(show))
     try:
         yield
@@ -56,13 +56,13 @@ def announced(show: bool) -> Iterator[None]:
 
 
 def _seconds(now: float) -> float:
-    """Seconds of compilation in this process until now."""
+    """Return the seconds that this process has spent on compilations until `now`."""
     with _lock:
         return _finished + (now - _began if _began is not None else 0.0)
 
 
 class Stopwatch:
-    """Seconds since its start, without the time for compiling kernels."""
+    """Stopwatch that stands still while a kernel is compiled."""
 
     def __init__(self) -> None:
         now = time.perf_counter()

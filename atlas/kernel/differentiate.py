@@ -1,7 +1,7 @@
-"""Arithmetic as syntax trees: differentials, for the variational equations, and simplification where terms vanish.
+"""Differentiation of functions for the variational equations, and simplification of functions in which terms vanish.
 
-`simplify` leaves out x * 0, x + 0, x - x and x * 1; x * y - x * z becomes x * (y - z). The result is the same to round-off.
-LLVM may not do this itself, because x * 0 is not 0 for a NaN or an infinity.
+`simplify` removes x * 0, x + 0, x - x and x * 1, and turns x * y - x * z into x * (y - z). The result is equal up to rounding.
+LLVM may not do this itself, because x * 0 is not 0 if x is NaN or infinite.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from functools import reduce
 
 from ..systems import arithmetic
 
-PREFIX = "d_"  # first letters of the differential of a name
+PREFIX = "d_"  # added in front of a name to name the differential
 
-# Functions of one argument x -> their derivative, as text.
+# Derivatives, as text, of functions of one argument x.
 _DERIVATIVES = {
     "sqrt": "0.5 / {function}({x})",
     "sin": "{module}cos({x})",
@@ -32,17 +32,17 @@ _DERIVATIVES = {
 
 
 def function_tree(text: str) -> ast.FunctionDef:
-    """Syntax tree of the source of a function."""
+    """Return the syntax tree of the source of a function."""
     function = ast.parse(text).body[0]
     assert isinstance(function, ast.FunctionDef)
     return function
 
 
 def differential(text: str, name: str) -> str:
-    """Source of a function `name` of ``(state, constants, change)`` that returns the first-order change.
+    """Return the source of a function ``name(state, constants, change)`` that gives the first-order change of `text`.
 
-    The text assigns names, or tuples of them, and returns a tuple. It consists of + - * / **, powers with
-    exponents that do not depend on the state, and `systems.arithmetic.FUNCTIONS`; else ValueError.
+    The function in `text` assigns names or tuples of names, and returns a tuple. It may use + - * /, powers whose exponents do
+    not depend on the state, and `systems.arithmetic.FUNCTIONS`. Everything else raises ValueError.
     """
     function = function_tree(text)
     active: set[str] = set()  # names that depend on the state
@@ -54,7 +54,7 @@ def differential(text: str, name: str) -> str:
                 changes = ", ".join(f"{PREFIX}{ast.unparse(element)}" for element in names)
                 body += [statement, *ast.parse(f"{changes}, = change").body]
             case ast.Assign(targets=[target], value=value):
-                # The differential precedes the assignment, because it needs the values that names have before it.
+                # The differential comes first, because it needs the values that names have before the assignment.
                 pairs = [(target, value)]
                 if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
                     pairs = list(zip(target.elts, value.elts, strict=True))
@@ -80,7 +80,7 @@ def differential(text: str, name: str) -> str:
 
 
 def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
-    """Differential of an expression; None where it does not depend on the state."""
+    """Return the differential of an expression, or None if the expression does not depend on the state."""
     if not arithmetic.names_in(node) & active:
         return None
     match node:
@@ -91,7 +91,7 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
             return _sum(_differential(left, active), _differential(right, active), op)
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            # Factors independent of the state stand before the sum.
+            # Factors that do not depend on the state are taken out of the sum.
             changes = [(factor, _differential(factor, active)) for factor in _factors(left) + _factors(right)]
             constant = [factor for factor, change in changes if change is None]
             variable = [(factor, change) for factor, change in changes if change is not None]
@@ -126,7 +126,7 @@ def _nonzero(change: ast.expr | None) -> ast.expr:
 
 
 def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
-    """The sum or difference of two terms; one may be missing."""
+    """Return the sum or difference of two terms, one of which may be None."""
     if y is None:
         return _nonzero(x)
     if x is None:
@@ -135,7 +135,7 @@ def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
 
 
 def _factors(node: ast.expr) -> list[ast.expr]:
-    """All factors of a product."""
+    """Return all factors of a product."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
         return _factors(node.left) + _factors(node.right)
     return [node]
@@ -146,7 +146,7 @@ def _times(x: ast.expr, y: ast.expr) -> ast.expr:
 
 
 def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
-    """Source of a function, simplified where names are 0, 1, or equal to another name."""
+    """Return the source of a function, simplified for names that are 0, 1 or equal to another name."""
     tree = ast.parse(text)
     simplifier = _Simplifier(set(zero), dict(equal), set(ones))
     return ast.unparse(ast.fix_missing_locations(simplifier.visit(tree)))
@@ -170,7 +170,7 @@ class _Simplifier(ast.NodeTransformer):
         return node
 
     def visit_Assign(self, node: ast.Assign) -> ast.Assign:
-        """Simplify the right side; a name that is assigned 0 counts as 0 from there on."""
+        """Simplify the right side. A name that is assigned 0 counts as 0 in the lines that follow."""
         node.value = self.visit(node.value)
         target = node.targets[0]
         if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
@@ -209,7 +209,7 @@ class _Simplifier(ast.NodeTransformer):
 
 
 def _left_factors(node: ast.expr) -> list[ast.expr]:
-    """Factors of a product from left to right; a product in parentheses on the right is one factor."""
+    """Return the factors of a product from left to right. A product in parentheses on the right counts as one factor."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
         return [*_left_factors(node.left), node.right]
     return [node]

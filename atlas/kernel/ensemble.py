@@ -1,4 +1,4 @@
-"""An ensemble: points of a system, ready to be integrated."""
+"""Ensemble of points of a system that are ready to be integrated."""
 
 from __future__ import annotations
 
@@ -17,46 +17,47 @@ from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
-# Fractions of its nodes after which a run is interrupted, to leave out points that certainly drift: most are certain after a small
-# part of the run, motions that leave an unstable motion only later.
+# After these fractions of the nodes a run is interrupted, so that points that certainly drift can end early. Most drifting points
+# are certain after a small part of the run. Motions that leave an unstable motion take longer.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
-# A run is not interrupted before this node: shorter segments cost more than they save.
+# A run is not interrupted before this node, because shorter segments cost more than they save.
 MIN_NODES = 8
 
 
 class Plug(Protocol):
-    """An instrument with sums of its own over the nodes of the motion of a body; the sums are 0 at the start."""
+    """Instrument that adds values at the nodes of a body's motion to sums. The sums are 0 at the start."""
 
     @property
     def sums(self) -> int:
-        """Number of its sums."""
+        """Number of sums of the instrument."""
 
     @property
     def given(self) -> int:
-        """Number of its constants for each point."""
+        """Number of constants that the instrument has for each point."""
 
     @property
     def add_node(self) -> Callable[..., None] | None:
-        """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) of lane l, pasted into the kernel.
+        """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) that adds node i of lane l to the sums.
 
-        Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
-        time, is nodes[i & 3, row, l] with the rows of `statistics.Node`; the three nodes before it are in the other slots.
-        None: the constants are levels of the energy, the first of the equations' INTEGRALS, and each sum counts the nodes with
-        more energy than its level, among every `integrate.NODES_PER_LEVEL`-th node.
+        The function is pasted into the kernel. The sums begin at row s, the constants at row g. The nodes of a run, numbered 0 to
+        `intervals`, are `spacing` apart in the kernel's unit of time. Node i is nodes[i & 3, row, l] with the rows of
+        `statistics.Node`, and the other three slots hold the nodes before. Without a function (None) the constants are levels of
+        the energy, which is the first of the equations' INTEGRALS. Each sum then counts the nodes with more energy than the
+        level, among every `integrate.NODES_PER_LEVEL`-th node.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """The constants, (given, points)."""
+        """Return the constants of the instrument, (given, points)."""
 
 
 @dataclass(frozen=True)
 class Integration:
-    """Result of integrating an ensemble; arrays (points,)."""
+    """Result of integrating an ensemble, in arrays of shape (points,)."""
 
-    final_state: Array  # at the end of the run, (states, points)
+    final_state: Array  # state at the end of the run, (states, points)
     sums: Array  # output of the kernel, (kernel.SUMS, points)
     intervals: NDArray[np.int64]  # number of intervals up to the last node reached
-    duration: Array  # integrated time, time units
+    duration: Array  # time that was integrated, in time units
     stopped_early: Mask  # whether the run ended early because the point certainly drifts
 
     def subset(self, where: NDArray[np.int64]) -> Integration:
@@ -81,7 +82,7 @@ class Ensemble:
 
     @classmethod
     def of(cls, system: System, points: Points, plugs: Sequence[Plug] = ()) -> Ensemble:
-        """The ensemble of points of a system; where parameters overflow, its numbers are not finite."""
+        """Return the ensemble of points of a system. Numbers are not finite where parameters overflow."""
         with np.errstate(all="ignore"):
             state = np.ascontiguousarray(system.initial_state(points))
             constants = np.ascontiguousarray(system.constants(points))
@@ -91,7 +92,7 @@ class Ensemble:
             return start.with_given(system, points, plugs)
 
     def with_given(self, system: System, points: Points, plugs: Sequence[Plug]) -> Ensemble:
-        """The ensemble with the constants of instruments that begin at its state."""
+        """Return the ensemble with the constants of instruments whose sums begin at `state`."""
         given = [plug.constants(system, points, self) for plug in plugs]
         return replace(self, given=np.concatenate([np.empty((0, self.size)), *given]))
 
@@ -105,11 +106,11 @@ class Ensemble:
     def arrays(
         self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0, period: ArrayLike = 1
     ) -> blocks.Arrays:
-        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: of observables measured once a period, in nodes."""
+        """Return the arrays for a kernel. `period` is the number of nodes in a period, for observables measured once a period."""
         rule = end_weights() if kernel.OBSERVABLES else quadrature()
         sums = np.empty((kernel.SUMS, self.size))
         given = self.given
-        if len(given) < kernel.PLUGGED_GIVEN:  # strobed observables need their period
+        if len(given) < kernel.PLUGGED_GIVEN:  # observables measured once a period need the period
             given = np.full((1, self.size), period, np.float64)
         return blocks.Arrays(
             step_size, blocks.start_state(kernel, self.state), self.constants, self.scales, given, rule,
@@ -125,10 +126,10 @@ class Ensemble:
         early_stop_rate: Array | None = None,
         threads: Threads = ALL_THREADS,
     ) -> Integration:
-        """Integrate every point; progress counts point-steps.
+        """Integrate every point. `threads.progress` counts point-steps.
 
-        `cylinder` is a radius in rad. A run may end early once the root mean square of theta' over the whole run is certain to
-        exceed early_stop_rate outside the cylinder; by default every run is whole.
+        `cylinder` is a radius in rad. A run may end early if the root mean square of theta' over the whole run will certainly
+        exceed `early_stop_rate` outside the cylinder. By default every run is whole.
         """
         arrays = self.arrays(kernel, step_sizes.step_size, cylinder, step_sizes.nodes_per_period)
         nodes = step_sizes.intervals + 1
@@ -137,7 +138,7 @@ class Ensemble:
         else:
             nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, threads)
         intervals = np.maximum(nodes - 1, 1)
-        with np.errstate(over="ignore"):  # durations near the largest float
+        with np.errstate(over="ignore"):  # a very long duration may overflow
             duration = intervals * step_sizes.sample_spacing
         return Integration(
             arrays.state[: len(self.state)], arrays.sums, intervals, duration, nodes <= step_sizes.intervals
@@ -146,16 +147,16 @@ class Ensemble:
     def final_states(
         self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, threads: Threads = ALL_THREADS
     ) -> Array:
-        """States, (states, points), after these numbers of steps of these sizes (time units), without statistics."""
+        """Return the states, (states, points), after `steps` steps of length `step_size`, without statistics."""
         return self.states_at_samples(kernel, steps, step_size[None], threads)[:, 0]
 
     def states_at_samples(
         self, kernel: ModuleType, steps: NDArray[np.int64], step_sizes: Array, threads: Threads = ALL_THREADS
     ) -> Array:
-        """States, (states, samples, points), at samples that are `steps` steps apart; step_sizes: (samples, points)."""
+        """Return the states, (states, samples, points), at samples `steps` steps apart. `step_sizes` is (samples, points)."""
         arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
         states, whole = np.empty((len(self.state), *step_sizes.shape)), (np.zeros_like(steps), schedule.nodes)
-        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # for many short calls
+        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # saves time in many short calls
         for k, step_size in enumerate(step_sizes):
             arrays = arrays._replace(step_size=step_size)
             if direct:
@@ -167,9 +168,9 @@ class Ensemble:
         return states
 
     def nodes(self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, count: int) -> tuple[Array, Array]:  # fmt: skip
-        """States and their derivatives, (states, count, points), at the start and at nodes that are `steps` steps apart.
+        """Return states and derivatives, (states, count, points), at the start and at nodes that are `steps` steps apart.
 
-        kernel: `specialization.node_kernel`.
+        `kernel` is a `specialization.node_kernel`.
         """
         states, derivatives = np.empty((2, len(self.state), count, self.size))
         if self.size:
@@ -187,11 +188,11 @@ class Ensemble:
         early_stop_rate: Array,
         threads: Threads,
     ) -> NDArray[np.int64]:
-        """Integrate in SEGMENTS; returns the number of nodes that each point reaches.
+        """Integrate in SEGMENTS, and return the number of nodes that each point reaches.
 
-        All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run, and the axis
-        was so far outside the cylinder that a return would be a change of theta, the point drifts. The correction of a passage
-        near the vertical removes at most one sample. Whole runs have the same bits as in a single call.
+        All weights are positive, so that the sum of theta'^2 only grows. A point drifts if the sum exceeds the limit of the whole
+        run, and if the axis was so far outside the cylinder that a return would change theta. The correction of a passage near
+        the vertical removes at most one sample. Whole runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
@@ -211,8 +212,8 @@ class Ensemble:
             segment = done[first_points], _segment_end(share, schedule.nodes)
             blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads)
             done[selected] = until[goes_on]
-            certain = done[active] > 0  # before its first node a point has undefined sums
-            with np.errstate(invalid="ignore", over="ignore"):  # from undefined sums, and from overflow
+            certain = done[active] > 0  # sums are undefined before the first node of a point
+            with np.errstate(invalid="ignore", over="ignore"):  # undefined sums and overflow are ignored
                 certain &= theta_dot_squared_sum(arrays.sums)[active] > limit[active]
             certain &= arrays.sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == run_nodes[active])
@@ -223,7 +224,7 @@ class Ensemble:
 
 
 def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Node that a run reaches after the fraction `share` of its nodes; 0 if it is before MIN_NODES."""
+    """Return the node that a run reaches after the fraction `share` of all nodes, or 0 if the node is before MIN_NODES."""
     end = np.ceil(share * nodes).astype(np.int64)
     return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
 
@@ -231,7 +232,7 @@ def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
 def integral_scales(
     system: System, state: Array, constants: Array, floors: Mapping[str, Array]
 ) -> NDArray[np.float64]:
-    """Reciprocal size of each first integral at the start: the sum of the magnitudes of its terms, at least its floor."""
+    """Return 1 / size of each first integral at the start. The size is the sum of the terms' magnitudes, at least the floor."""
     rows = []
     for name in system.equations.INTEGRALS:
         terms = getattr(system.equations, name)(state, constants)

@@ -8,15 +8,15 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-VECTOR_BITS = 512  # the longest vectors of any processor
+VECTOR_BITS = 512  # length of the longest vectors of any processor
 
 
 @intrinsic
 def full_vectors(typingctx):
-    """Let the calling kernel use the processor's longest vectors, and align its stack to 64 bytes for them.
+    """Let the calling kernel use the processor's longest vectors, and align the stack of the kernel to 64 bytes.
 
-    LLVM takes half of AVX-512 on Intel's processors, in which other code slows down: there rk8 needs 1.8 times as long. It aligns
-    spilled vectors only if another object on the stack asks for it; a vector that straddles two cache lines costs up to a fifth.
+    On Intel's processors LLVM by default uses half of the length of AVX-512, so that rk8 needs 1.8 times as long. LLVM aligns
+    spilled vectors only if another object on the stack is aligned. A vector across two cache lines costs up to a fifth.
     """
 
     def generate(context, builder, signature, arguments):
@@ -24,7 +24,7 @@ def full_vectors(typingctx):
             line = builder.alloca(ir.ArrayType(ir.DoubleType(), 8))
             line.align = 64
         builder.asm(ir.FunctionType(ir.VoidType(), [line.type]), "", "r", [line], side_effect=True)
-        # An attribute with a value, which `add` of llvmlite refuses.
+        # `add` of llvmlite refuses an attribute with a value.
         set.add(builder.function.attributes, f'"prefer-vector-width"="{VECTOR_BITS}"')
         return context.get_dummy_value()
 
@@ -33,7 +33,7 @@ def full_vectors(typingctx):
 
 @intrinsic
 def aligned_empty(typingctx, shape):
-    """np.empty(shape) at 64 bytes; Numba's 32 let vectors straddle cache lines, up to a fifth slower."""
+    """Return np.empty(shape) aligned to 64 bytes. Numba aligns to 32 bytes, with which kernels are up to a fifth slower."""
 
     def generate(context, builder, signature, arguments):
         lengths = cgutils.unpack_tuple(builder, arguments[0])
@@ -45,7 +45,7 @@ def aligned_empty(typingctx, shape):
 
 @intrinsic
 def axpy(typingctx, y, weights, slopes):
-    """The tuple y plus the weighted sum of tuples, as one instruction for Numba instead of a thousand operations."""
+    """Return the tuple y plus a weighted sum of tuples. Numba handles this as one instruction, not a thousand operations."""
 
     def generate(context, builder, signature, arguments):
         operands = [

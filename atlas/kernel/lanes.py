@@ -1,4 +1,4 @@
-"""Copies of points to and from the lanes of a block, and steps of a block; its arrays have a column for each lane."""
+"""Copy points to and from the lanes of a block, and take steps. The arrays of a block have a column for each lane."""
 
 from .generated import (
     INTEGRALS,
@@ -20,7 +20,7 @@ from .generated import (
 
 
 def load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales):
-    """Bring the starts of a block's points into its lanes, in the kernel's units."""
+    """Load the starts of a block's points into the lanes, in the kernel's units."""
     for l in range(WIDTH):
         p = points[block, l]
         unit = step_size[p] / STEP
@@ -31,7 +31,7 @@ def load_points(points, block, step_size, state0, constants0, scales, state, con
 
 
 def load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out):
-    """Bring the interrupted runs of a block's points into its lanes, after `load_points`."""
+    """Load the interrupted runs of a block's points into the lanes. `load_points` must be called before."""
     rows = nodes.shape[1]
     for l in range(WIDTH):
         p = points[block, l]
@@ -46,7 +46,7 @@ def load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out
 
 
 def store_runs(points, block, state, nodes, integrals0, state0, resume):
-    """Keep interrupted runs, without their sums, for `load_runs`."""
+    """Store interrupted runs for `load_runs`. This does not include the sums."""
     rows = nodes.shape[1]
     for l in range(WIDTH):
         p = points[block, l]
@@ -59,7 +59,7 @@ def store_runs(points, block, state, nodes, integrals0, state0, resume):
 
 
 def store_ends(points, block, step_size, state, constants, state0):
-    """Write the states at the end of the runs, in the caller's units."""
+    """Write the final states of the runs, in the caller's units."""
     for l in range(WIDTH):
         p = points[block, l]
         y = unscaled(load_state(state, l), load_constants(constants, l), step_size[p] / STEP)
@@ -74,7 +74,7 @@ def store_sums(points, block, sums, out):
 
 
 def load_plugged(points, block, begins, given, plugged, given0, out, first_row):
-    """Bring constants and sums of the plugged instruments into the lanes; sums are 0 where the runs begin."""
+    """Load constants and sums of the plugged instruments into the lanes. The sums are 0 if the runs begin."""
     for l in range(WIDTH):
         p = points[block, l]
         for row in range(given.shape[0]):
@@ -91,7 +91,7 @@ def store_plugged(points, block, plugged, out, first_row):
 
 
 def advance(state, slopes, constants, steps):
-    """Take `steps` steps; `slopes` holds the derivatives of the states before the first step."""
+    """Take `steps` steps. `slopes` holds the derivatives of the states before the first step."""
     for k in range(steps):
         if STORES_SLOPE and k > 0:
             for l in range(WIDTH):
@@ -103,7 +103,7 @@ def advance(state, slopes, constants, steps):
 
 
 def extend_changes(sums, row, integrals0, inverse_scales, state, constants):
-    """Update a row of the sums, the largest change of a first integral in each lane."""
+    """Update `row` of the sums, which holds the largest change of a first integral in each lane."""
     for l in range(WIDTH):
         y, c, change = load_state(state, l), load_constants(constants, l), sums[row, l]
         sums[row, l] = largest_change(integrals0, inverse_scales, l, y, c, change)

@@ -1,4 +1,4 @@
-"""The kernel of trajectories: states and their derivatives at nodes of the motion, without statistics."""
+"""Kernel of trajectories, which gives states and derivatives at nodes of the motion, without statistics."""
 
 from .generated import (
     CONSTANTS,
@@ -18,7 +18,7 @@ from .lanes import advance, load_points
 
 
 def integrate(schedule, arrays, first_block, last_block):
-    """Write states and derivatives (by the kernel's time) of blocks at the start and at equidistant nodes after it."""
+    """Write states and derivatives at the start and at equidistant nodes. Derivatives are by the kernel's unit of time."""
     full_vectors()
     points, steps, _ = schedule
     step_size, state0, constants0, scales, states, derivatives = arrays

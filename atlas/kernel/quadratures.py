@@ -1,4 +1,4 @@
-"""The kernel of reference solutions: derivatives of states and of integrals of the Euler rates, point by point."""
+"""Kernel of reference solutions, which gives derivatives of the states and of integrals of the Euler rates."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from .generated import STATES, frame_motion, load_constants, load_state, rhs, st
 
 
 def integrate(path, constants, duration, first, cylinder, slopes):
-    """Write the derivatives by t / duration of a path, whose columns are points and whose rows are the states, then the sums."""
+    """Write the derivatives of a path by t / duration. Columns of the path are points; rows are the states, then the sums."""
     for p in range(path.shape[1]):
         state, c = load_state(path, p), load_constants(constants, p)
         store_state(slopes, p, rhs(state, c))
@@ -22,7 +22,7 @@ def integrate(path, constants, duration, first, cylinder, slopes):
 
 
 def euler_rates(motion, cylinder):
-    """theta', psi', phi', rate about the vertical, 1.0 outside or 0.0 inside the cylinder, theta; psi' and phi' are 0 inside."""
+    """Return theta', psi', phi', normal rate, 1.0 outside the cylinder or 0.0 inside, theta. Inside, psi' and phi' are 0."""
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside, safe_sine = 1.0 * (sine >= cylinder), sine + 1.0 * (sine == 0.0)

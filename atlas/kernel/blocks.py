@@ -1,6 +1,6 @@
-"""Blocks of WIDTH points with equal numbers of steps: SIMD over the lanes of a block, threads over blocks.
+"""Blocks of WIDTH points with equal numbers of steps. The points of a block run in SIMD lanes, and blocks run in threads.
 
-Each point has its own step size, so that its result depends on no neighbour, block or thread.
+Each point has its own step size, so that the result of a point depends on no neighbour, block or thread.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from .generated import WIDTH
 from .sampling import EndWeights, Quadrature
 from .stepsize import StepSizes
 
-# Largest number of point-steps in a call of the kernel, about 0.1 s: Ctrl-C and the progress line wait for its end.
+# A call of the kernel takes about this many point-steps (0.1 s) at most, because Ctrl-C and the progress line wait for the call.
 CHUNK = 20_000_000
-# Largest number of point-steps, about 1 ms, for which starting threads takes longer than it saves.
+# Up to this many point-steps, about 1 ms, starting threads takes longer than it saves.
 FEW = 100_000
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -33,13 +33,13 @@ Counts = NDArray[np.int64]
 class BlockSchedule(NamedTuple):
     """Blocks of points with equal numbers of steps and nodes."""
 
-    points: Counts  # indices of points, (blocks, WIDTH); an incomplete block repeats its last point
+    points: Counts  # indices of points, (blocks, WIDTH); the last point fills an incomplete block
     steps: Counts  # as in StepSizes, (blocks,)
     steps_per_sample: Counts  # as in StepSizes, (blocks,)
 
     @property
     def point_steps(self) -> int:
-        """Steps of all points, repeated ones included."""
+        """Number of steps of all points, including repeated points."""
         return int(self.steps.sum()) * WIDTH
 
     @property
@@ -48,7 +48,7 @@ class BlockSchedule(NamedTuple):
 
 
 def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -> BlockSchedule:
-    """Blocks of points with equal steps and nodes, the longest first, so that threads end together."""
+    """Return blocks of points with equal numbers of steps and nodes. Long blocks come first, so that threads end together."""
     key = np.stack([steps, steps_per_sample])
     order = np.lexsort((key[1], -key[0]))
     key = key[:, order]
@@ -63,7 +63,7 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
 
 
 def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -> BlockSchedule:
-    """The blocks of an ensemble, or of some of its points by their indices."""
+    """Return the blocks of an ensemble, or of the points with the indices `where`."""
     if where is None:
         return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample)
     packed = pack_blocks(step_sizes.steps[where], step_sizes.steps_per_sample[where])
@@ -77,39 +77,39 @@ def available_threads() -> int:
 
 
 class Arrays(NamedTuple):
-    """Data of points that a kernel reads and writes; between calls for parts of a run, `state` is in the kernel's units."""
+    """Data of points that a kernel reads and writes. Between two calls for parts of a run, `state` is in the kernel's units."""
 
     step_size: Array  # in time units
-    state: Array  # at the start, see `start_state`; after the call at the end, (kernel.STATES, points)
-    constants: Array  # of the equations, (constants, points)
+    state: Array  # state at the start (see `start_state`), and at the end after the call, (kernel.STATES, points)
+    constants: Array  # constants of the equations, (constants, points)
     scales: Array  # see `ensemble.integral_scales`, (integrals, points)
     given: Array  # constants of the plugged instruments, (kernel.PLUGGED_GIVEN, points)
     rule: Quadrature | EndWeights
     cylinder_squared: float  # square of the radius of the cylinder, rad^2
-    resume: Array  # between calls: the last four nodes and the first integrals at the start, (rows, points)
-    sums: Array  # (kernel.SUMS, points)
+    resume: Array  # last four nodes, and first integrals at the start, between calls, (rows, points)
+    sums: Array  # output of the kernel, (kernel.SUMS, points)
 
 
 def start_state(kernel: ModuleType, state: Array) -> Array:
-    """Copy of a state of the equations, (states, points), followed by zeros for the losses of first integrals."""
+    """Return a state of the equations, (states, points), with zeros added for the losses of first integrals."""
     return np.concatenate([state, np.zeros((kernel.STATES - len(state), state.shape[1]))])
 
 
 def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
-    """The arrays with `resume` allocated, for runs that take several calls."""
+    """Return the arrays with memory for `resume`, which runs in several calls need."""
     rows = 4 * kernel.NODE_ROWS + len(arrays.scales)
     return arrays._replace(resume=np.empty((rows, arrays.state.shape[1])))
 
 
 @dataclass(frozen=True)
 class Threads:
-    """Threads that integrate; progress gets the work done since its last call, and may end the run by an exception."""
+    """Threads that integrate. `progress` is called with the work done since the last call, and may raise to end the run."""
 
-    count: int | None = None  # None: as many as there are processors; 0: the calling thread
+    count: int | None = None  # None stands for one thread per processor, 0 for the calling thread
     progress: Callable[[float], None] = lambda work: None
 
     def scaled(self, factor: float) -> Threads:
-        """The same threads with work in another unit; with factor 0, progress is called but no work reported."""
+        """Return the same threads with `progress` called with `factor` times the work."""
         return Threads(self.count, lambda work: self.progress(factor * work))
 
 
@@ -124,10 +124,11 @@ def integrate(
     segment: tuple[Counts, Counts] | None = None,
     threads: Threads = ALL_THREADS,
 ) -> None:
-    """Integrate every point of a schedule; states and sums are written into the arrays.
+    """Integrate every point of a schedule, and write states and sums into `arrays`.
 
-    `segment`: first and last node of each block (default: whole runs). If threads.count is None, the calling thread takes up to FEW
-    point-steps itself. Progress counts point-steps. On KeyboardInterrupt running calls of the kernel end first, in under a second.
+    `segment` is the range of nodes of each block, by default the whole run. If threads.count is None, the calling thread takes up
+    to FEW point-steps itself. `threads.progress` counts point-steps. After a KeyboardInterrupt, calls of the kernel that are
+    running end first, in under a second.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN
@@ -135,7 +136,7 @@ def integrate(
     steps = np.minimum((last - first) * schedule.steps_per_sample, schedule.steps) * WIDTH
     if not arrays.resume.size and (steps > CHUNK).any():
         arrays = resumable(kernel, arrays)
-    # The first call may compile the kernel; it is made in a thread, so that Ctrl-C need not wait for it.
+    # The first call may compile the kernel. A thread makes this call, so that Ctrl-C need not wait.
     if threads.count is None and steps.sum() <= FEW and getattr(kernel.integrate, "signatures", True):
         threads = Threads(0, threads.progress)
     call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads)
@@ -148,8 +149,8 @@ def call_by_parts(
     last_node: Counts,
     threads: Threads,
 ) -> None:
-    """Call a kernel for all blocks in threads, several times for a long block."""
-    # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
+    """Call a kernel for all blocks in threads. A long block takes several calls."""
+    # Blocks are divided into chunks, about four or more for each thread, and of about CHUNK point-steps at most.
     total, stop = np.cumsum(point_steps), threading.Event()
     least_chunks = 1 if threads.count == 0 else 4 * (threads.count or available_threads())
     max_cost = min(CHUNK, -(-int(total[-1]) // least_chunks)) if total.size else CHUNK

@@ -1,28 +1,29 @@
-"""The parts of a kernel that depend on system and method: `assemble` writes them for each pair.
+"""Declarations of the parts of a kernel that depend on system and method. `assemble` writes the code for each pair.
 
-The signatures, whose bodies are empty here, serve readers, linters and type checkers. `state` and `constants` are in the
-kernel's units (see `scaled` of a system's equations), blocks are (rows, WIDTH), l is a lane.
+The bodies are empty here, because the declarations serve readers, linters and type checkers. `state` and `constants` are in the
+kernel's units (see `scaled` of a system's equations). Blocks have the shape (rows, WIDTH), and l is a lane.
 """
 
 from __future__ import annotations
 
-WIDTH = 32  # points of a block
-STATES = 0  # states of the equations, and accumulated losses
+WIDTH = 32  # number of points in a block
+STATES = 0  # number of states of the equations, including accumulated losses
 CONSTANTS = 0
 INTEGRALS = 0
-LOSSES = ()  # integrals whose losses are the last states, see `augmented`; left out if there are none
-OBSERVABLES = 0  # observables measured at every node
-STROBED = 0  # observables measured once a period; without them the blocks `if STROBED:` are left out
-TANGENT = 0  # components of a tangent vector
+LOSSES = ()  # integrals whose losses are the last states, see `augmented`; not defined if there are none
+OBSERVABLES = 0  # number of observables measured at every node
+STROBED = 0  # number of observables measured once a period; if it is 0, blocks `if STROBED:` are left out
+TANGENT = 0  # number of components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
-STORES_SLOPE = False  # whether the slope at a node is kept for the first stage of the step after it
+STORES_SLOPE = False  # whether the slope at a node is kept for the first stage of the next step
 HAS_AXIS = False  # whether the system has `axis_in_frame`
-# Sums and constants of the plugged instruments, see `ensemble.Plug`; without them the blocks `if PLUGGED:` are left out.
+# Numbers of sums and constants of the plugged instruments (see `ensemble.Plug`). Without instruments, blocks `if PLUGGED:` are
+# left out.
 PLUGGED, PLUGGED_GIVEN = 0, 0
 
 
 def aligned_empty(shape):
-    """Uninitialised array of float64, aligned to cache lines."""
+    """Return an uninitialised array of float64 that is aligned to cache lines."""
 
 
 def full_vectors():
@@ -30,43 +31,43 @@ def full_vectors():
 
 
 def axpy(y, weights, slopes):
-    """The tuple y plus the weighted sum of other tuples."""
+    """Return the tuple y plus the weighted sum of the tuples in `slopes`."""
 
 
 def rhs(state, constants):
-    """Time derivatives of the state."""
+    """Return the time derivatives of the state."""
 
 
 def rhs_change(state, constants, change):
-    """Change of the time derivatives to first order in a change of the state."""
+    """Return the first-order change of the time derivatives for a change of the state."""
 
 
 def scaled(state, constants, unit):
-    """State and constants in units in which the time `unit` is 1."""
+    """Return state and constants in units in which the time `unit` is 1."""
 
 
 def unscaled(state, constants, unit):
-    """State in the caller's units; constants: as `scaled` returned them."""
+    """Return the state in the caller's units. `constants` are as `scaled` returned."""
 
 
 def frame_motion(state, constants):
-    """Angular velocity relative to the frame and the frame's vertical: u1, u2, u3, g1, g2, g3."""
+    """Return the angular velocity u1, u2, u3 relative to the frame, and the vertical g1, g2, g3 of the frame."""
 
 
 def frame_motion_change(state, constants, change):
-    """Change of `frame_motion` to first order in a change of the state."""
+    """Return the first-order change of `frame_motion` for a change of the state."""
 
 
 def axis_in_frame(state, constants):
-    """Two components of the third body axis in the frame."""
+    """Return two components of the third body axis in the frame."""
 
 
 def step(state, slope, constants):
-    """State after one step of length STEP; slope: derivative of the state before the step."""
+    """Return the state after one step of length STEP. `slope` is the derivative of the state before the step."""
 
 
 def load_state(block, l):
-    """Column l of a block of states, as a tuple."""
+    """Return column l of a block of states as a tuple."""
 
 
 def store_state(block, l, state):
@@ -74,7 +75,7 @@ def store_state(block, l, state):
 
 
 def load_constants(block, l):
-    """Column l of a block of constants, as a tuple."""
+    """Return column l of a block of constants as a tuple."""
 
 
 def store_constants(block, l, constants):
@@ -90,7 +91,7 @@ def store_integrals(block, l, state, constants):
 
 
 def largest_change(first, scales, l, state, constants, largest):
-    """Largest of `largest` and the scaled changes of the first integrals since the values in column l of `first`."""
+    """Return the largest scaled change of a first integral from the value in column l of `first`, but at least `largest`."""
 
 
 def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants):
@@ -98,7 +99,7 @@ def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, s
 
 
 def load_extended(block, l):
-    """Column l of a block of states and tangent vectors, as one tuple."""
+    """Return column l of a block of states and tangent vectors as one tuple."""
 
 
 def store_extended(block, l, extended):
@@ -106,19 +107,19 @@ def store_extended(block, l, extended):
 
 
 def extended_rhs(extended, constants):
-    """Time derivatives of a state and a tangent vector."""
+    """Return the time derivatives of a state and a tangent vector."""
 
 
 def observe(state, constants):
-    """Every observable, as a tuple."""
+    """Return all observables as a tuple."""
 
 
 def observe_change(state, constants, change):
-    """First-order change of every observable for a change of the state, as a tuple."""
+    """Return the first-order changes of all observables for a change of the state, as a tuple."""
 
 
 def store_values(nodes, slot, row, l, values):
-    """Write the values of every observable, or their derivatives, into rows `row` and following of a node."""
+    """Write values or derivatives of all observables into a node, beginning at row `row`."""
 
 
 def store_strobes(block, l, state, constants):

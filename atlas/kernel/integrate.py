@@ -1,16 +1,16 @@
-"""The kernel: blocks of WIDTH points integrated side by side, one SIMD lane each.
+"""The kernel, which integrates blocks of WIDTH points side by side. Each point has a SIMD lane.
 
-Ordinary Python, whose text `assemble` puts into a module for the compiler. The compiler turns every loop over `l`, the lanes,
-into vector instructions, and inlines every function into `integrate`. The functions of `generated` depend on
+`assemble` puts the text of this module, which is ordinary Python, into a module for the compiler. The compiler turns every loop
+over the lanes `l` into vector instructions, and inlines every function into `integrate`. The functions of `generated` depend on
 the system and the method.
 
-Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and most coefficients
-are 1, which saves a sixth of the multiplications. The statistics are in the units of the caller.
+Each point is integrated in units of its own (see `scaled` of the equations). In these units all steps are STEP long, and most
+coefficients are 1, which saves a sixth of the multiplications. The statistics are in the units of the caller.
 
-A node is an instant, every steps_per_sample steps, at which the motion is evaluated with its derivative. Node i is kept in slot
-i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated from four nodes. The statistics are
-sums over the nodes and, near both ends of a run, over interpolated samples (`sampling`). Passages near the vertical and turning
-points of theta wait in queues, from which QUEUE of them are computed side by side (`poles`).
+A node is an instant at which the motion and its derivative are evaluated. There is a node every steps_per_sample steps. Node i
+is kept in slot i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated from four nodes. The
+statistics are sums over the nodes and, near both ends of a run, over interpolated samples (see `sampling`). Passages near the
+vertical and turning points of theta wait in queues. QUEUE passages or turning points are computed side by side (see `poles`).
 """
 
 import numpy as np
@@ -68,31 +68,31 @@ from .poles import (
 from .sampling import END, LONG, rule_position, stretched
 from .statistics import Node, Row, accumulate, begin, end, extend, may_extend
 
-MOTION = 6  # components of the motion: the first rows of a `Node`, before their derivatives
-# First integrals change slowly: they are evaluated at every fourth node and at the end.
+MOTION = 6  # number of components of the motion, which are the first rows of a `Node`
+# First integrals are evaluated at every fourth node and at the end only, because they change slowly.
 NODES_PER_DRIFT = 4
 # Every NODES_PER_LEVEL-th node is compared with levels of the energy.
 NODES_PER_LEVEL = 8
-# Number of turning points, or of passages, that are computed side by side; their queues have room for WIDTH more.
+# This many turning points, or passages, are computed side by side. The queues have room for WIDTH more.
 QUEUE = 32
-# sin^2 theta below which both ends of a run are searched for passages.
+# An end of a run is searched for a passage if sin^2 theta there is below this value.
 NEAR_END = 0.2
 
 
 def motion_of(state, constants, inverse_unit):
-    """Angular velocity relative to the frame, in the caller's units, and the frame's vertical."""
+    """Return the angular velocity relative to the frame, in the caller's units, and the vertical of the frame."""
     u1, u2, u3, g1, g2, g3 = frame_motion(state, constants)
     return u1 * inverse_unit, u2 * inverse_unit, u3 * inverse_unit, g1, g2, g3
 
 
 def motion_change_of(state, constants, slope, inverse_unit):
-    """Time derivative of the motion, from the slope of the state."""
+    """Return the time derivative of the motion, given the slope of the state."""
     u1, u2, u3, g1, g2, g3 = frame_motion_change(state, constants, slope)
     return u1 * inverse_unit, u2 * inverse_unit, u3 * inverse_unit, g1, g2, g3
 
 
 def store_motion(nodes, slot, row, l, motion):
-    """Write the motion, or its derivative, into rows `row` to row + 5 of a node."""
+    """Write the motion or the derivative of the motion into rows `row` to row + 5 of a node."""
     (
         nodes[slot, row, l], nodes[slot, row + 1, l], nodes[slot, row + 2, l],
         nodes[slot, row + 3, l], nodes[slot, row + 4, l], nodes[slot, row + 5, l],
@@ -107,7 +107,7 @@ def motion_at(nodes, slot, l):
 
 
 def interpolate(nodes, slots, weights, row, l):
-    """One component of the motion among four nodes, interpolated with these weights of the values and derivatives there."""
+    """Return a component of the motion, interpolated by `weights` from the values and derivatives at four nodes."""
     s0, s1, s2, s3 = slots
     w0, w1, w2, w3, w4, w5, w6, w7 = weights
     d = row + MOTION
@@ -128,15 +128,16 @@ def interpolated_motion(nodes, slots, weights, l):
 
 
 def sample_weights(samples, j, spacing):
-    """The eight weights of sample j; those of derivatives are multiplied by `spacing`, the distance of two nodes."""
+    """Return the eight weights of sample j. Weights of derivatives are multiplied by `spacing`, the distance of two nodes."""
     w = samples[j]
     return w[1], w[2], w[3], w[4], w[5] * spacing, w[6] * spacing, w[7] * spacing, w[8] * spacing
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks from first_node to last_node, (blocks,), with the same bits however a run is divided into calls.
+    """Integrate blocks from `first_node` up to but without `last_node`, both of shape (blocks,).
 
-    A run begins at node 0 and ends at node steps / steps_per_sample; the rule is a `sampling.Quadrature`.
+    A run begins at node 0 and ends at node steps / steps_per_sample. The bits of the results do not depend on how the run is
+    divided into calls. The rule is a `sampling.Quadrature`.
     """
     full_vectors()
     points, steps, steps_per_sample = schedule
@@ -160,7 +161,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
         intervals, spacing = steps[block] // stride, STEP * stride
         rule = min(intervals, LONG)
         begins, ends = first_node[block] == 0, last_node[block] == intervals + 1
-        # Integers of NumPy: Numba would compile callees for a literal 0 as well.
+        # The counts are integers of NumPy, because Numba would compile the callees for a literal 0 as well.
         passage_count, turn_count = np.int64(0), np.int64(0)
         load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales)
         load_step_sizes(points, block, step_size, dt, inverse_unit)
@@ -174,7 +175,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             slot, last = i & 3, i + 1 == last_node[block]
             evaluate_node(nodes, slot, slopes, state, constants, inverse_unit)
             add_node(stats, nodes, slot, node_weights[rule, rule_position(i, intervals)], cylinder_squared)
-            if i >= 3:  # the inner one of three intervals; at both ends of the run also the outer one
+            if i >= 3:  # treats the middle of three intervals, and at an end of the run the outer one
                 slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     position = rule_position(interval, intervals)
@@ -213,14 +214,14 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def empty_queue(rows):
-    """A queue of zeros: unused columns are integrated too and must hold numbers."""
+    """Return a queue of zeros. Unused columns take part in computations and must hold numbers."""
     queue = aligned_empty((rows, QUEUE + WIDTH))
     queue[:] = 0.0
     return queue
 
 
 def move_up(queue, lanes, first_nodes, count):
-    """Move the columns after the first QUEUE of `count` to the front of a queue; returns their number."""
+    """Move the columns from QUEUE to `count` to the front of a queue, and return the number of these columns."""
     rest = max(count - QUEUE, 0)
     for e in range(rest):
         lanes[e], first_nodes[e] = lanes[QUEUE + e], first_nodes[QUEUE + e]
@@ -230,7 +231,7 @@ def move_up(queue, lanes, first_nodes, count):
 
 
 def load_step_sizes(points, block, step_size, dt, inverse_unit):
-    """Bring the step sizes of a block's points into its lanes, and the reciprocal of the kernel's unit of time."""
+    """Load the step sizes of a block's points, and the reciprocals of the kernel's units of time, into the lanes."""
     for l in range(WIDTH):
         dt[l] = step_size[points[block, l]]
         inverse_unit[l] = 1.0 / (dt[l] / STEP)
@@ -257,13 +258,13 @@ def evaluate_node(nodes, slot, slopes, state, constants, inverse_unit):
 def add_node(stats, nodes, slot, weight, cylinder_squared):
     for l in range(WIDTH):
         motion = motion_at(nodes, slot, l)
-        if weight > 0.0:  # near the ends of a run the samples lie between the nodes
+        if weight > 0.0:  # near the ends of a run, samples replace some nodes
             accumulate(stats, l, motion, weight, cylinder_squared)
         extend(stats, l, motion[5], motion[3] * motion[3] + motion[4] * motion[4])
 
 
 def add_samples(stats, nodes, slots, spacing, samples, first, stop, cylinder_squared):
-    """Add the samples first, ..., stop - 1, which lie in one interval of four nodes."""
+    """Add the samples `first` to `stop` - 1, which lie in one interval between the four nodes."""
     for j in range(first, stop):
         weights = sample_weights(samples, j, spacing)
         for l in range(WIDTH):
@@ -280,13 +281,13 @@ def add_axis(stats, state, constants):
 
 
 def end_runs(stats, nodes, slot):
-    """End the statistics of a block with the last node."""
+    """End the statistics of a block at the last node."""
     for l in range(WIDTH):
         end(stats, l, motion_at(nodes, slot, l))
 
 
 def mark(turning, near, stats, nodes, spacing, interval, intervals):
-    """Set `turning` to 1.0 in lanes where theta may have a new extreme, `near` in lanes that may pass the vertical; else to 0.0."""
+    """Set `turning` to 1.0 where theta may have a new extreme, and `near` to 1.0 where the axis may pass near the vertical."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         slope_0, slope_1 = spacing * nodes[first, Node.DG3, l], spacing * nodes[second, Node.DG3, l]
@@ -295,7 +296,7 @@ def mark(turning, near, stats, nodes, spacing, interval, intervals):
 
 
 def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node, interval):
-    """Append the turning points of the marked lanes to the queue; returns its length."""
+    """Append the turning points of the marked lanes to the queue, and return the length of the queue."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         if turning[l] > 0.0:
@@ -310,7 +311,7 @@ def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node,
 def queue_passages(
     passages, lanes, first_nodes, count, near, stats, nodes, slots, spacing, stride, dt, first_node, interval, intervals
 ):  # fmt: skip
-    """Append the passages of the marked lanes to the queue; returns its length."""
+    """Append the passages of the marked lanes to the queue, and return the length of the queue."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         if near[l] > 0.0:
@@ -323,9 +324,10 @@ def queue_passages(
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
-    """1.0 if zeta may have a zero near an interval, else 0.0, and the place of the zero: see `poles.turns_near_vertical`.
+    """Return 1.0 if zeta may have a zero near an interval, else 0.0, and the place of the zero.
 
-    A run that begins or ends near the vertical may have a zero there although sin^2 theta has no minimum.
+    See `poles.turns_near_vertical`. If a run begins or ends near the vertical, zeta may have a zero there although sin^2 theta
+    has no minimum.
     """
     slope_0 = spacing * (nodes[first, Node.G1, l] * nodes[first, Node.DG1, l] + nodes[first, Node.G2, l] * nodes[first, Node.DG2, l])  # fmt: skip
     slope_1 = spacing * (nodes[second, Node.G1, l] * nodes[second, Node.DG1, l] + nodes[second, Node.G2, l] * nodes[second, Node.DG2, l])  # fmt: skip
@@ -339,7 +341,7 @@ def near_vertical(nodes, first, second, l, spacing, interval, intervals):
 
 
 def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
-    """Write a passage of lane l into column e; `duration` is `spacing` in the caller's units."""
+    """Write a passage of lane l into column e. `duration` is `spacing` in the caller's units."""
     store_component(passages, Passage.G1, Passage.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(passages, Passage.G2, Passage.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(
@@ -352,7 +354,7 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
 
 
 def store_turn(turns, e, nodes, slots, l, spacing, node, x):
-    """Write a turning point of lane l into column e; it is at about x after `node`, one of the four nodes."""
+    """Write a turning point of lane l into column e. The place is about x after `node`, one of the four nodes."""
     store_component(turns, Turn.G1, Turn.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(turns, Turn.G2, Turn.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(turns, Turn.G3, Turn.G3_SLOPE, e, nodes, slots, 5, l, 1.0, spacing)
@@ -361,14 +363,14 @@ def store_turn(turns, e, nodes, slots, l, spacing, node, x):
 
 
 def store_component(queue, row, slope_row, e, nodes, slots, component, l, unit, slope_unit):
-    """Write a component of the motion at four nodes, times `unit`, and its derivative, times `slope_unit`, into column e of a queue."""
+    """Write a component at four nodes, times `unit`, and the derivative, times `slope_unit`, into column e of a queue."""
     for k in range(4):
         queue[row + k, e] = nodes[slots[k], component, l] * unit
         queue[slope_row + k, e] = nodes[slots[k], component + MOTION, l] * slope_unit
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):
-    """Update the extremes of lanes with the first QUEUE of `count` turning points; returns how many turning points are left."""
+    """Update the extremes with the first QUEUE of `count` turning points, and return the number of turning points left."""
     for e in range(QUEUE):
         difference(turns, Turn.G1, e)
         difference(turns, Turn.G2, e)
@@ -384,7 +386,7 @@ def extend_to_turns(stats, turns, lanes, count, extremes):
 def correct(
     stats, passages, farther, places, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared
 ):  # fmt: skip
-    """Add the quadrature errors at the first QUEUE of `count` passages to their sums in the lanes; returns how many passages are left."""
+    """Add up the quadrature errors at the first QUEUE of `count` passages, and return the number of passages left."""
     for e in range(QUEUE):
         difference(passages, Passage.G1, e)
         difference(passages, Passage.G2, e)
@@ -406,7 +408,7 @@ def correct(
                     tau, slope = stretched(z, intervals - z)
                     sum_errors(terms, zero, column, tau, slope, passages[Passage.VERTICAL, e])
                 per_time = 1.0 / (stride * dt[l])
-                for k in range(5):  # rows with even k are of squared rates
+                for k in range(5):  # for even k the row belongs to a squared rate
                     unit = per_time if k % 2 else per_time * per_time
                     error = terms[zero, Term.THETA_DOT_SQUARED_ERROR + k, column]
                     stats[Row.THETA_DOT_SQUARED_ERROR + k, l] += error * unit
@@ -414,7 +416,7 @@ def correct(
 
 
 def zeros(passages, terms, farther, count):
-    """Write the nearer or the farther zeros of `count` passages, given by divided differences, into terms[farther]."""
+    """Write the nearer or the farther zeros of `count` passages into terms[farther]. `passages` holds divided differences."""
     for e in range(count):
         approximate_zero(passages, e, farther)
     for _ in range(NEWTON_STEPS):
@@ -425,7 +427,7 @@ def zeros(passages, terms, farther, count):
 
 
 def collect_farther(passages, farther, places, count):
-    """Copy the passages whose farther zero may be near into `farther`; returns their number, rounded up to a multiple of 8."""
+    """Copy the passages whose second zero may be near into `farther`; return the number, rounded up to a multiple of 8."""
     number = 0
     for e in range(count):
         if passages[Passage.FARTHER, e] > 0.0:
@@ -437,13 +439,13 @@ def collect_farther(passages, farther, places, count):
 
 
 def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
-    """Whether the zero z of a passage, counted from the first node of the run, needs a correction of its own."""
+    """Whether the zero z of a passage needs a correction of its own. z is relative to the first node of the run."""
     x, y = abs(terms[farther, Term.Z_REAL, e] - 1.5), abs(z.imag)
-    # Beyond its nodes the polynomial loses accuracy, which matters little for a zero far from the real axis.
+    # The polynomial loses accuracy beyond the four nodes. This matters little for a zero far from the real axis.
     near = x < 1.5 + 0.5 * y and y < REACH + 1.0 and terms[farther, Term.CHANGE, e] < 1e-4 * y * y
-    # Where a passage during the run is inside the cylinder, there are no samples of psi' and phi'.
+    # Inside the cylinder there are no samples of psi' and phi'.
     inside = terms[farther, Term.SIN2_THETA, e] <= cylinder_squared and 0.0 < z.real < intervals
-    # Zeros of successive passages, or both zeros of one passage, may be the same zero.
+    # Successive passages, or both approximations of one passage, may lead to the same zero.
     same = 0.1 * y
     x1, y1 = z.real - stats[Row.ZERO_1_REAL, l], z.imag - stats[Row.ZERO_1_IMAG, l]
     x2, y2 = z.real - stats[Row.ZERO_2_REAL, l], z.imag - stats[Row.ZERO_2_IMAG, l]

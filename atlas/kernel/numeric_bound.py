@@ -1,9 +1,9 @@
-"""The frequency bound of systems that give none: from the Jacobian at the start and along a preliminary run.
+"""Frequency bound of systems that give none, computed from the Jacobian at the start and along a preliminary run.
 
-The numeric frequency of `systems.jacobian` at the start alone is often too low, because a motion may begin slowly. A
-preliminary run with the longest possible steps therefore samples the frequency, and is repeated with a larger bound if it has grown.
-Powers of the Jacobian do not show a forcing by time, which is a state; the derivatives of the states along the run do. The
-result of a point does not depend on other points.
+The frequency of the Jacobian at the start (`systems.jacobian`) is often too low, because a motion may begin slowly. A
+preliminary run with the longest possible steps therefore samples the frequency. If the frequency grows, the run is repeated
+with a larger bound. Powers of the Jacobian do not show a forcing by time, because time is a state. The derivatives of the states
+along the run show the forcing. The result of a point does not depend on other points.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from .ensemble import Ensemble
 from .stepsize import GOLDEN_SECTION
 from .tableaux import Method
 
-# Mean time between samples times the frequency bound, rad: short enough to show that a motion becomes faster (an eccentric orbit does
-# so on its way to the pericentre) while the steps still resolve the motion. A run has at most MAX_SAMPLES samples.
+# The mean time between samples is SAMPLE_RADIANS divided by the frequency bound. This is short enough to show that a motion becomes
+# faster, as on an eccentric orbit before the pericentre, while the steps still resolve the motion.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Samples are early by up to EARLY times their mean distance, so that no forcing has nearly the same phase at all samples.
+# Samples are shifted by up to EARLY mean distances, because equidistant samples could meet a forcing always at the same phase.
 EARLY = 0.5
-# Least bound, in turns per run: a motion whose Jacobian vanishes at the start needs samples as well.
+# The bound is at least this many turns per run, because a motion whose Jacobian vanishes at the start needs samples as well.
 LEAST_TURNS = 4
-# Phase error and loss of amplitude of the preliminary run, and its largest step divided by the stability limit.
+# The preliminary run may have this phase error and loss of amplitude. A step is at most MAX_STEP_RATIO times the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised if the frequency exceeds TOLERATED times the bound; the factor is RAISE to RAISE_MOST, because a coarse run may be
-# wrong.
+# If the frequency exceeds TOLERATED times the bound, the bound is raised by a factor from RAISE to RAISE_MOST. The factor is
+# limited because a coarse run may be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
-# For n = 2 and 3 the bound is raised until the largest n-th derivative of a state is at most OVERTONE times bound times the largest
-# (n - 1)-th. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.
+# For n = 2 and 3, the largest n-th derivative of a state divided by the largest (n - 1)-th derivative is at most OVERTONE times
+# the bound. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
-MATRICES = 4096  # Jacobians computed at a time
-FEW_STEPS = 20000  # largest number of steps, of all points, that take less time than starting a thread
-MAX_NOT_FINITE = 4  # repeated attempts at a point that overflows
+MATRICES = 4096  # number of Jacobians computed at a time
+FEW_STEPS = 20000  # this many steps, summed over points, take less time than starting a thread
+MAX_NOT_FINITE = 4  # number of repeated attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
 
 def before_run(system: System, points: Points, duration: Array) -> Array:
-    """Frequency bound known without integrating, rad per time unit, from which costs are estimated."""
+    """Return the frequency bound, rad per time unit, that is known without integrating. Estimates of costs use this bound."""
     bound = system.frequency_bound(points)
     return np.fmax(bound, _least(duration)) if system.has_numeric_bound else bound
 
 
 def _least(duration: Array) -> Array:
-    """Least bound, rad per time unit, of runs of these durations."""
+    """Return the least bound, rad per time unit, of runs of these durations."""
     with np.errstate(all="ignore"):
         return np.asarray(2 * np.pi * LEAST_TURNS / duration)
 
@@ -62,7 +62,7 @@ def along_runs(
     max_steps: int,
     threads: Threads = ALL_THREADS,
 ) -> tuple[Array, Mask]:
-    """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it."""
+    """Return the frequency bound of each point, rad per time unit, and whether it holds along the whole run."""
     if not system.has_numeric_bound:
         return ensemble.frequency_bound, np.ones(ensemble.size, bool)
     bound = np.fmax(ensemble.frequency_bound, _least(duration))
@@ -72,7 +72,7 @@ def along_runs(
     pending = np.arange(bound.size)
     for _ in range(MAX_ATTEMPTS):
         with np.errstate(all="ignore"):
-            # Longest step of the preliminary run times the bound, rad.
+            # `longest` is the longest step of the preliminary run times the bound, in rad.
             radians = np.maximum(bound[pending] * duration[pending], 1e-300)
             phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
             loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
@@ -92,16 +92,16 @@ def along_runs(
         bound[pending[grown]] = raised[grown]
         finite_bound[pending[grown & ~overflowed]] = raised[grown & ~overflowed]
         pending = pending[grown & (not_finite[pending] <= MAX_NOT_FINITE)]
-    # Where even short steps overflow, the motion itself does.
+    # If even short steps overflow, the motion itself overflows, and the bound before the overflow is kept.
     bound = np.where(not_finite > MAX_NOT_FINITE, finite_bound, bound)
     return bound, settled
 
 
 def _distances(count: int) -> Array:
-    """Distances of successive samples, the first from the start, divided by their mean.
+    """Return the distances of successive samples, divided by the mean distance. The first distance is from the start.
 
-    Sample k is early by EARLY times the fractional part of g k^2, g the golden section. With g k in place of g k^2, forcings of
-    about 5, 8, 13 ... turns between two samples would have nearly one phase at all samples.
+    Sample k is early by EARLY times the fractional part of g k^2, where g is the golden section. With g k in place of g k^2,
+    forcings of about 5, 8, 13 ... turns between two samples would have nearly the same phase at all samples.
     """
     k = np.arange(count + 1)
     return np.diff(k - EARLY * (GOLDEN_SECTION * k**2 % 1.0))
@@ -116,10 +116,10 @@ def _largest_frequency(
     longest_step: Array,
     threads: Threads,
 ) -> Array:
-    """Frequency at the first sample where it exceeds the bound, else the largest frequency of the run; inf after an overflow."""
+    """Return the largest frequency up to the first sample that exceeds the bound, or inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
-    # A state whose rate depends on no state is time. Systems without time have every frequency in the Jacobian, and on their
-    # steady motions the derivatives would be rounding errors.
+    # A state whose rate depends on no state is time. Without time the Jacobian shows every frequency, and the derivatives would be
+    # rounding errors on steady motions.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
     sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitude of each state and derivative
@@ -129,9 +129,9 @@ def _largest_frequency(
     active: NDArray[np.int64] = np.arange(ensemble.size)
     while active.size:
         part = ensemble.subset(active)
-        # The number of samples doubles, because most bounds that are too low are exceeded early.
+        # The number of samples doubles in each turn of this loop, because most bounds that are too low are exceeded early.
         count = int(np.clip(min(MATRICES // active.size, n_samples), 1, samples[active].max() - n_samples))
-        # The first call may compile the kernel; it is made in a thread, so that Ctrl-C need not wait for it.
+        # The first call may compile the kernel. A thread makes this call, so that Ctrl-C need not wait.
         direct = n_samples > 0 and steps[active].sum() <= FEW_STEPS
         in_threads = Threads(0) if direct else threads
         step_sizes = distances[n_samples : n_samples + count, None] * mean_step_size[active]

@@ -1,10 +1,10 @@
-"""The kernel of systems with observables: blocks of points, their observables averaged along each motion.
+"""Kernel of systems with observables, which averages observables along the motions of blocks of points.
 
-An observable is evaluated with its derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over
-the nodes by the trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes
-are extremes of the interpolation between four nodes. An observable measured once a period has sums and extremes over the nodes
-at the periods alone. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, sums of g, g^2 and u g
-give mean, standard deviation and slope of the line fitted to f.
+An observable f and the derivative of f are evaluated at the nodes, which are a few steps apart. The integrals over a run are sums
+over the nodes by the trapezoidal rule, with the corrections of `sampling.end_weights` at both ends. Extremes between two nodes
+are found by interpolation between four nodes. For an observable measured once a period, only the nodes at the ends of periods
+count. Let f0 be the value at the start, g = f - f0, and u a variable that grows from -1/2 to 1/2 along the run. Then the sums
+of g, g^2 and u g give the mean of f, the standard deviation, and the slope of the line fitted to f.
 """
 
 from enum import IntEnum
@@ -34,22 +34,22 @@ from .generated import (
 from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
 from .poles import place_of_turn, turns_twice
 
-# Rows of the sums: the change of first integrals, then from FIRST_ROW on the rows of `Field` for each observable.
+# Row CHANGE of the sums is the change of first integrals. The rows of `Field` for each observable begin at FIRST_ROW.
 CHANGE, FIRST_ROW = 0, 1
-# First integrals change slowly: they are evaluated at every fourth node and at the end.
+# First integrals are evaluated at every fourth node and at the end only, because they change slowly.
 NODES_PER_CHANGE = 4
-# Largest relative change of an observable that may be rounding.
+# A relative change of an observable that is not larger than this may be rounding.
 CHANGE_ROUNDING = 1e-14
 
 
 class Field(IntEnum):
-    """Rows of an observable: f0, the sums, the extremes, and the largest distance of a node from the cubic through its neighbours."""
+    """Rows of an observable. ROUGHNESS is the largest distance of a node from the cubic through the two neighbouring nodes."""
 
     START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS = range(7)
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks of points over a range of nodes, as `kernel.integrate`; the rule is a `sampling.EndWeights`."""
+    """Integrate blocks over a range of nodes, as `integrate.integrate` does. The rule is a `sampling.EndWeights`."""
     full_vectors()
     points, steps, steps_per_node = schedule
     step_size, state0, constants0, scales, given0, rule, cylinder_squared, resume, out = arrays
@@ -58,7 +58,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
     sums, turning = aligned_empty((FIRST_ROW + len(Field) * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
-    if STROBED:  # the given constants are numbers of intervals in a period
+    if STROBED:  # `given0` contains the number of intervals in a period
         sums = aligned_empty((FIRST_ROW + len(Field) * (OBSERVABLES + STROBED), WIDTH))
         strobes, period = aligned_empty((STROBED, WIDTH)), aligned_empty((WIDTH,))
     for block in range(first_block, last_block):
@@ -103,7 +103,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def begin(sums, nodes):
-    """Start the sums with the values at the start, in slot 0."""
+    """Set the sums to 0, and the extremes to the values at the start, which are in slot 0."""
     for row in range(sums.shape[0]):
         for l in range(WIDTH):
             sums[row, l] = 0.0
@@ -115,7 +115,7 @@ def begin(sums, nodes):
 
 
 def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights):
-    """Add node i of a run to the sums, and update the extremes."""
+    """Add node i to the sums, and update the extremes."""
     weight, slope_weight = 1.0, 0.0
     if i < 4:
         weight += value_weights[i]
@@ -138,7 +138,7 @@ def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_we
 
 
 def add_strobes(sums, strobes, state, constants, period, i, intervals):
-    """Add node i of a run to the sums of observables measured once a period, in lanes where a period ends or the run begins."""
+    """Add node i to the sums of observables measured once a period, in lanes where a period ends or the run begins."""
     for l in range(WIDTH):
         store_strobes(strobes, l, load_state(state, l), load_constants(constants, l))
     u = i / intervals - 0.5
@@ -159,7 +159,7 @@ def add_strobes(sums, strobes, state, constants, period, i, intervals):
 
 
 def compare_with_neighbours(sums, nodes, i, spacing):
-    """Update the largest distance of a node from the Hermite cubic of its neighbours, for node i - 1 between i - 2 and i."""
+    """Update ROUGHNESS with the distance of node i - 1 from the Hermite cubic through the nodes i - 2 and i."""
     before, middle, after = (i - 2) & 3, (i - 1) & 3, i & 3
     for k in range(OBSERVABLES):
         row, slope_row = FIRST_ROW + len(Field) * k + Field.ROUGHNESS, OBSERVABLES + k
@@ -171,7 +171,7 @@ def compare_with_neighbours(sums, nodes, i, spacing):
 
 
 def extend_between(sums, nodes, turning, i, interval, spacing):
-    """Update the extremes with turning points in `interval`, between two of the last four nodes, i - 3 to i."""
+    """Update the extremes with turning points in `interval`, which lies between two of the nodes i - 3 to i."""
     first, second = interval & 3, (interval + 1) & 3
     for k in range(OBSERVABLES):
         row, slope_row = FIRST_ROW + len(Field) * k, OBSERVABLES + k
@@ -197,7 +197,7 @@ def extend_between(sums, nodes, turning, i, interval, spacing):
 
 
 def interpolated(nodes, i, k, l, spacing, x):
-    """Observable k at the place x from 0 to 3 among the nodes i - 3 to i: Hermite interpolation of degree 7."""
+    """Interpolate observable k at the place x, from 0 to 3, among the nodes i - 3 to i. The degree of the polynomial is 7."""
     value = 0.0
     for j in range(4):
         slot = (i - 3 + j) & 3

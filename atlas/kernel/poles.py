@@ -1,58 +1,59 @@
-"""Polynomials through four nodes: quadrature errors near the vertical, and turning points between two nodes.
+"""Polynomials through four nodes, for quadrature errors near the vertical and for turning points between two nodes.
 
-With zeta = g1 + i g2 the angle of proper rotation is phi = pi/2 - arg zeta. Near the vertical zeta, as a
-function of complex time, has a zero z close to the real axis, so that
+Let zeta = g1 + i g2, so that the angle of proper rotation is phi = pi/2 - arg zeta. If the axis passes near the vertical, zeta
+as a function of complex time has a zero z close to the real axis. The rates
 
     phi' = -Im(zeta' / zeta),    psi' = (u3 - phi') / g3,    theta'^2 = g3'^2 / |zeta|^2
 
-have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole has a closed form (Poisson's
-summation formula): `trapezoid_error_of_pole`. The zero is computed on the polynomial of degree 7 through four nodes
-of the motion (`pole_terms`), and the kernel subtracts the errors of the sums.
+have poles at z. The trapezoidal rule converges slowly there, but by Poisson's summation formula the error of the rule has a
+closed form (`trapezoid_error_of_pole`). `pole_terms` computes the zero on the polynomial of degree 7 through four nodes of the
+motion. The kernel subtracts the errors from the sums.
 
-Turning points of theta are computed on the same polynomials (`turning_point`), from a first approximation on the cubic between
-two nodes (`turns_twice`, `place_of_turn`). The unit of time is the distance of two nodes.
+`turning_point` computes turning points of theta on the same polynomials. `turns_twice` and `place_of_turn` give a first
+approximation on the cubic between two nodes. The unit of time is the distance of two nodes.
 """
 
 from enum import IntEnum
 
 import numpy as np
 
-# Distance of a pole from the real axis beyond which its error, exp(-8 pi), is negligible.
+# The error of a pole at this distance from the real axis, exp(-8 pi), is negligible.
 REACH = 4.0
-# Steps of Newton's method for the position of a pole; a step of Halley's in `pole_terms` follows.
+# Number of steps of Newton's method for the position of a pole. A step of Halley's method in `pole_terms` follows.
 NEWTON_STEPS = 3
 
 
 class Passage(IntEnum):
-    """Rows of a passage near the vertical; the first six begin four rows each, one for each node."""
+    """Rows of a passage near the vertical. Each of the first six members begins four rows, one for each node."""
 
     G1, G1_SLOPE, G2, G2_SLOPE, U3, U3_SLOPE = range(0, 24, 4)
-    TIME = 24  # real instant near the zeros, counted from the first of the four nodes
-    Z_REAL, Z_IMAG = range(25, 27)  # a zero or its approximation, counted from the same node
-    FARTHER = 27  # whether the farther zero may be near as well, 1.0 or 0.0
+    TIME = 24  # real instant near the zeros, relative to the first of the four nodes
+    Z_REAL, Z_IMAG = range(25, 27)  # zero or approximation of a zero, relative to the same node
+    FARTHER = 27  # 1.0 if the farther zero may be near as well, else 0.0
     VERTICAL = 28  # the sign of g3
-    PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # values that the sums subtract from psi' and phi'
+    PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # subtracted from psi' and phi' in the sums
 
 
 PASSAGE_ROWS = max(Passage) + 1
 
 
 class Term(IntEnum):
-    """Rows of the result of `pole_terms`: a zero z, and the coefficients of 1 / (t - z) in the squares of the rates."""
+    """Rows of the result of `pole_terms`. PSI and PHI are coefficients of 1 / (t - z) in squares of rates with a zero z."""
 
-    Z_REAL, Z_IMAG = range(2)  # counted from the first of the four nodes
-    CHANGE = 2  # square of the last change of the zero
+    Z_REAL, Z_IMAG = range(2)  # relative to the first of the four nodes
+    CHANGE = 2  # squared distance by which the last step moved the zero
     SIN2_THETA = 3  # sin^2 theta at the real part of the zero
     THETA_REAL, THETA_IMAG, PSI_REAL, PSI_IMAG, PHI_REAL, PHI_IMAG = range(4, 10)
-    # Excess of the sums over their integrals, see `sum_errors`.
+    # Differences between sums and integrals of the rates, see `sum_errors`.
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
     PHI_DOT_ERROR, PHI_DOT_SQUARED_ERROR = range(13, 15)
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
-    """1.0 if sin^2 theta has a minimum between two nodes and zeta a zero near it, else 0.0, and the place of the minimum.
+    """Return 1.0 if sin^2 theta has a minimum near a zero of zeta between two nodes, else 0.0, and the place of the minimum.
 
-    Slopes are half the derivative of sin^2 theta. A zero is near if the parabola with these values has one within REACH of the real axis.
+    `slope_0` and `slope_1` are half the derivatives of sin^2 theta at the nodes. A zero is near if the parabola with these values
+    has a zero within REACH of the real axis.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -63,7 +64,7 @@ def turns_near_vertical(sin2_theta, slope_0, slope_1):
 
 
 def difference(table, row, e):
-    """Replace four values and four derivatives at the nodes, rows `row` to row + 7, by their divided differences."""
+    """Replace four values and four derivatives, in rows `row` to row + 7, by divided differences."""
     (
         table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
         table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
@@ -71,7 +72,7 @@ def difference(table, row, e):
 
 
 def differences_of(table, row, e):
-    """The divided differences in rows `row` to row + 7."""
+    """Return the divided differences in rows `row` to row + 7."""
     return (
         table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
         table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
@@ -79,7 +80,7 @@ def differences_of(table, row, e):
 
 
 def zeta_differences(passages, e):
-    """The divided differences of zeta = g1 + i g2."""
+    """Return the divided differences of zeta = g1 + i g2."""
     a0, a1, a2, a3, a4, a5, a6, a7 = differences_of(passages, Passage.G1, e)
     b0, b1, b2, b3, b4, b5, b6, b7 = differences_of(passages, Passage.G2, e)
     return (
@@ -89,7 +90,7 @@ def zeta_differences(passages, e):
 
 
 def approximate_zero(passages, e, farther):
-    """Write the nearer or the farther zero of the parabola that osculates zeta at TIME, and whether the farther one is near."""
+    """Write a zero of the parabola that osculates zeta at TIME, the nearer one or the farther one, and the row FARTHER."""
     x = passages[Passage.TIME, e]
     value, slope, curvature = polynomial(zeta_differences(passages, e), x)
     root = square_root(slope * slope - 4.0 * (curvature * value))
@@ -103,7 +104,7 @@ def approximate_zero(passages, e, farther):
 
 
 def improve_zero(passages, e):
-    """A step of Newton's method for the zero of zeta; `passages` holds divided differences."""
+    """Take a step of Newton's method to the zero of zeta. `passages` holds divided differences."""
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, _ = polynomial(zeta_differences(passages, e), z)
     change = value * complex_inverse(slope)
@@ -112,25 +113,25 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero, Laurent coefficients and errors of passage e, from its divided differences, into column e of terms[farther]."""
+    """Write zero, Laurent coefficients and errors of passage e into terms[farther]. `passages` holds divided differences."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)
-    # A step of Halley's method, whose second derivative the coefficients need as well.
+    # Take a step of Halley's method. The coefficients below need the same second derivative.
     change = value * complex_inverse(slope)
     change = value * complex_inverse(slope - curvature * change)
     z, slope = z - change, slope - 2.0 * (curvature * change)
     mirror_value, mirror_slope, _ = polynomial(zeta, z.conjugate())
-    # The function conj(zeta(conj t)) and its derivative at z; at real t its product with zeta is |zeta|^2.
+    # Value and derivative of conj(zeta(conj t)) at z. The product of this function with zeta is |zeta|^2 at real t.
     conjugate, conjugate_slope = mirror_value.conjugate(), mirror_slope.conjugate()
     u3_z, _, _ = polynomial(differences_of(passages, Passage.U3, e), z)
-    # phi' = R / (t - z) + a + ... with R = i/2; g3 = +-1 at z.
+    # Near z, phi' is R / (t - z) + a + ... with R = i/2. At z, g3 is 1 or -1.
     vertical = passages[Passage.VERTICAL, e]
     a = 0.5j * (curvature * complex_inverse(slope) - conjugate_slope * complex_inverse(conjugate))
     product = slope * conjugate
     g3_slope = -0.5 * vertical * product
     a_psi = vertical * (u3_z - a) + 0.5j * g3_slope
-    # psi'^2 = R^2 / (t - z)^2 + 2 R a / (t - z) + ..., counted from the reference; theta'^2 = g3'^2 / |zeta|^2.
+    # With the references subtracted, psi'^2 is R^2 / (t - z)^2 + 2 R a / (t - z) + ... near z. theta'^2 is g3'^2 / |zeta|^2.
     theta = 0.25 * product
     psi = -1j * vertical * (a_psi - passages[Passage.PSI_DOT_REFERENCE, e])
     phi = 1j * (a - passages[Passage.PHI_DOT_REFERENCE, e])
@@ -145,7 +146,7 @@ def pole_terms(passages, e, terms, farther):
 
 
 def sum_errors(terms, farther, e, tau, slope, vertical):
-    """Write the excess of the sums of theta'^2, psi', psi'^2, phi' and phi'^2 over their integrals near one zero."""
+    """Write the differences sum - integral that one zero causes for theta'^2, psi', psi'^2, phi' and phi'^2."""
     simple, double = trapezoid_error_of_pole(tau, slope)
     theta = (
         simple.real * terms[farther, Term.THETA_REAL, e] - simple.imag * terms[farther, Term.THETA_IMAG, e]
@@ -161,7 +162,7 @@ def sum_errors(terms, farther, e, tau, slope, vertical):
 
 
 def trapezoid_error_of_pole(tau, slope):
-    """Excess of the sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals; tau, slope: `sampling.stretched` at z."""
+    """Return sum - integral of 1 / (t - z) and of 1 / (t - z)^2. `tau` and `slope` are `sampling.stretched` at z."""
     side, turns = (1.0 if tau.imag > 0.0 else -1.0), tau.real - np.floor(tau.real + 0.5)
     q_less_1 = exponential_less_1(complex(-2.0 * np.pi * min(abs(tau.imag), 8.0), 2.0 * np.pi * turns))
     inverse = complex_inverse(-q_less_1)
@@ -171,7 +172,7 @@ def trapezoid_error_of_pole(tau, slope):
 
 
 def exponential_less_1(z):
-    """exp(z) - 1 for |z| up to 50, from exp(z / 128) - 1 by arithmetic that the compiler turns into vector instructions."""
+    """Return exp(z) - 1 for |z| up to 50. The compiler turns the arithmetic into vector instructions."""
     w = z * (1 / 128)
     value = 1.0 + w * (1 / 9)
     for k in range(8, 1, -1):
@@ -183,7 +184,7 @@ def exponential_less_1(z):
 
 
 def complex_inverse(z):
-    """1 / z; a large number where z is 0, for which complex division raises an error."""
+    """Return 1 / z, or 0 if z is 0, where complex division would raise an error."""
     square = z.real * z.real + z.imag * z.imag
     return z.conjugate() * (1.0 / (square if square > 1e-300 else 1e-300))
 
@@ -195,7 +196,7 @@ def square_root(z):
 
 
 def divided_differences(v0, v1, v2, v3, d0, d1, d2, d3):
-    """Divided differences on 0, 0, 1, 1, 2, 2, 3, 3 of values v and derivatives d at the nodes 0, 1, 2, 3."""
+    """Return the divided differences on 0, 0, 1, 1, 2, 2, 3, 3 of values v and derivatives d at the nodes 0, 1, 2, 3."""
     e0, e1, e2 = v1 - v0, v2 - v1, v3 - v2
     f0, f1, f2, f3, f4, f5 = e0 - d0, d1 - e0, e1 - d1, d2 - e1, e2 - d2, d3 - e2
     h0, h1, h2, h3, h4 = f1 - f0, 0.5 * (f2 - f1), f3 - f2, 0.5 * (f4 - f3), f5 - f4
@@ -206,12 +207,12 @@ def divided_differences(v0, v1, v2, v3, d0, d1, d2, d3):
 
 
 def horner(value, slope, curvature, x, coefficient):
-    """One step of Horner's scheme for value, first derivative and half the second derivative."""
+    """Take one step of Horner's scheme for value, first derivative and half the second derivative."""
     return value * x + coefficient, slope * x + value, curvature * x + slope
 
 
 def polynomial(differences, z):
-    """Value, first derivative and half the second derivative at z of the polynomial with these divided differences."""
+    """Return value, first derivative and half the second derivative at z of a polynomial given by divided differences."""
     c0, c1, c2, c3, c4, c5, c6, c7 = differences
     x1, x2, x3 = z - 1.0, z - 2.0, z - 3.0
     p, s, c = c7 * x3 + c6, c7, c7 * 0.0
@@ -223,25 +224,26 @@ def polynomial(differences, z):
     return horner(p, s, c, z, c0)
 
 
-# Steps of Newton's method for the instant of a turning point.
+# Number of steps of Newton's method for the instant of a turning point.
 TURN_STEPS = 5
 
 
 class Turn(IntEnum):
-    """Rows of a turning point: the vertical and its derivatives at four nodes, four rows each."""
+    """Rows of a turning point. Each of the first six members begins four rows, one for each node."""
 
     G1, G1_SLOPE, G2, G2_SLOPE, G3, G3_SLOPE = range(0, 24, 4)
-    TIME = 24  # first approximation, counted from the first of the four nodes
-    NODE = 25  # the node before the turning point, counted from the same node
+    TIME = 24  # approximate instant, relative to the first of the four nodes
+    NODE = 25  # the node before the turning point, relative to the same node
 
 
 TURN_ROWS = max(Turn) + 1
 
 
 def turns_twice(f0, f1, s0, s1, rounding):
-    """1.0 if the cubic with these values at 0 and 1, and slopes of equal sign there, has two extremes in between, else 0.0.
+    """Return 1.0 if a cubic with slopes of equal sign at 0 and 1 has two extremes in between, else 0.0.
 
-    A cubic that starts at rest and turns back once counts as well; changes below `rounding` are ignored.
+    The values at 0 and 1 are f0 and f1, the slopes s0 and s1. A cubic that starts at rest and turns back once counts as well.
+    Changes below `rounding` are ignored.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)
@@ -250,8 +252,8 @@ def turns_twice(f0, f1, s0, s1, rounding):
 
 
 def place_of_turn(f0, f1, s0, s1):
-    """Place of the extreme, between 0 and 1, of a cubic with these values and slopes; of two extremes, the one farther from 0 and 1."""
-    a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic is a x^2 + b x + s0
+    """Return the place of the extreme of a cubic between 0 and 1. Of two extremes, take the one farther from 0 and 1."""
+    a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic at x is a x^2 + b x + s0
     b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))
     q = -0.5 * (b + (root if b > 0.0 else -root))
@@ -262,7 +264,7 @@ def place_of_turn(f0, f1, s0, s1):
 
 
 def newton_change(g1, g2, g3):
-    """Change of the instant at which theta' sin theta is 0; arguments: value and derivatives as `polynomial` returns them."""
+    """Return the Newton step to the instant at which theta' sin theta is 0. The arguments are results of `polynomial`."""
     u, du, ddu = g1
     v, dv, ddv = g2
     w, dw, ddw = g3
@@ -273,7 +275,7 @@ def newton_change(g1, g2, g3):
 
 
 def motion_of_turn(turns, e):
-    """Value, first derivative and half the second derivative of g1, g2, g3 at TIME; `turns` holds divided differences."""
+    """Return the results of `polynomial` for g1, g2 and g3 at TIME. `turns` holds divided differences."""
     x = turns[Turn.TIME, e]
     return (
         polynomial(differences_of(turns, Turn.G1, e), x),
@@ -283,9 +285,9 @@ def motion_of_turn(turns, e):
 
 
 def turning_point(turns, e):
-    """cos theta and sin^2 theta at TIME in column e of `turns`; then a step of Newton's method improves TIME.
+    """Return cos theta and sin^2 theta at TIME in column e of `turns`, and improve TIME by a step of Newton's method.
 
-    TIME stays between its two nodes: where theta is constant but for rounding errors, Newton's method would leave the four nodes.
+    TIME stays between NODE and the next node. If theta varies only by rounding, Newton's method would leave the four nodes.
     """
     u, v, w = motion_of_turn(turns, e)
     before = turns[Turn.NODE, e] - turns[Turn.TIME, e]

@@ -1,9 +1,9 @@
-"""Samples of the Euler rates and the quadrature rule that averages them over a run.
+"""Samples of the Euler rates, and the quadrature rule that averages the samples over a run.
 
-The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal one on the nodes, whose error falls
+The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal rule on the nodes, whose error falls
 exponentially. Near both ends the variable of integration changes from t to tau(t), which grows like the logarithm of the
-distance from the end: samples uniform in tau crowd towards the end geometrically, so that a singularity of a rate at any
-distance beyond an end costs no accuracy (H. Takahasi and M. Mori, Publ. RIMS 9 (1974) 721-741).
+distance from the end. Samples that are uniform in tau then crowd geometrically towards the end. A singularity of a rate beyond
+an end therefore costs no accuracy, whatever the distance (H. Takahasi and M. Mori, Publ. RIMS 9 (1974) 721-741).
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-# tau(t) = t + CLUSTERING log(1 - exp(-p(t))), p(t) = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Every singularity beyond
-# an end lies at least CLUSTERING pi / 2 from the real tau axis, and its error is at most about exp(-pi^2 CLUSTERING).
+# tau(t) = t + CLUSTERING log(1 - exp(-p)), where p = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Every singularity beyond an
+# end lies at least CLUSTERING pi / 2 from the real tau axis. It causes an error of at most about exp(-pi^2 CLUSTERING).
 CLUSTERING = 2.25
 SQUARE, FOURTH = 5.0, 9.0
-# tau(t) differs from t in END intervals at each end of a run; in a run of LONG intervals or more these do not overlap.
+# tau(t) differs from t in the first and last END intervals of a run, which do not overlap if a run has LONG intervals or more.
 END = 18
 LONG = 2 * END
 # Coefficients B_2k / (2k)! of the derivatives of order 1, 3, 5 and 7 in the Euler-Maclaurin formula.
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
-# The motion is interpolated between four nodes, which are three intervals.
+# A run has at least three intervals, because the motion is interpolated between four nodes.
 MIN_INTERVALS = 3
-# Approximate distance of the first sample from an end of a run; the weight of the end itself covers this distance.
+# The first sample is about this far from an end of a run. The weight of the end itself covers this distance.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
-    """theta', psi', phi', the normal rate, sin^2 theta, and 1.0 outside or 0.0 inside the cylinder; psi' and phi' are 0 inside."""
+    """Return theta', psi', phi', normal rate, sin^2 theta, 1.0 outside the cylinder or 0.0 inside. Inside, psi' = phi' = 0."""
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
     inverse = 1.0 / (sin2_theta if sin2_theta > 1e-300 else 1e-300)
@@ -45,22 +45,22 @@ def sample(motion, cylinder_squared):
 
 
 def rule_position(i, intervals):
-    """Index of node or interval i in the rules of `Quadrature`; in a run longer than LONG all in the middle share one index."""
+    """Return the index of node or interval i in the rules of `Quadrature`. The middle of a long run has only one index."""
     return i - min(max(intervals - LONG, 0), max(i - END, 0))
 
 
 class Quadrature(NamedTuple):
-    """Quadrature rules of runs, indexed by the number of intervals; the last rule is for LONG and more intervals."""
+    """Quadrature rules of runs, indexed by the number of intervals. The last rule is for LONG intervals and more."""
 
-    node_weights: NDArray[np.float64]  # weight of each node; see `rule_position`, (LONG + 1, LONG + 1)
-    # In a run of n intervals, samples first_sample[n, i] to first_sample[n, i + 1] - 1 are between nodes i and i + 1, of the same shape
+    node_weights: NDArray[np.float64]  # weight of each node (see `rule_position`), (LONG + 1, LONG + 1)
+    # In a run of n intervals, the samples from first_sample[n, i] up to first_sample[n, i + 1] - 1 lie between nodes i and i + 1.
     first_sample: NDArray[np.int64]
-    samples: NDArray[np.float64]  # weight of a sample, then its `hermite_weights`, (samples, 9)
+    samples: NDArray[np.float64]  # weight of each sample, then the sample's `hermite_weights`, (samples, 9)
 
 
 @cache
 def quadrature() -> Quadrature:
-    """The rules for MIN_INTERVALS intervals and more; the weights of each are positive, with the number of intervals as their sum."""
+    """Return the rules for MIN_INTERVALS intervals and more. Weights are positive; their sum is the number of intervals."""
     node_weights = np.zeros((LONG + 1, LONG + 1))
     first_sample = np.zeros((LONG + 1, LONG + 1), np.int64)
     rows, count = [], 0
@@ -74,7 +74,7 @@ def quadrature() -> Quadrature:
         t, weight = t[~at_node], weight[~at_node]
         interval = np.minimum(t.astype(np.int64), intervals - 1)
         first_sample[intervals] = count + np.searchsorted(interval, np.arange(LONG + 1))
-        # Samples are interpolated from the nodes of their interval and one more on either side, near an end from the four nodes there.
+        # A sample is interpolated from two nodes on either side, but in an interval at the end of a run from the four nodes there.
         first_node = np.clip(interval - 1, 0, intervals - 3)
         rows.append(np.column_stack([weight, hermite_weights(t - first_node)]))
         count += t.size
@@ -82,7 +82,7 @@ def quadrature() -> Quadrature:
 
 
 def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """For each length of a run, instants of the samples in ascending order, without the two ends, and weights, in node distances."""
+    """Return, for each length of a run, the instants of the samples without both ends, in ascending order, and the weights."""
     intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
     tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)
@@ -104,19 +104,19 @@ def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float6
 def _from_both_ends(
     x: NDArray[np.float64], intervals: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances from the start and from the end of a run, the first divided by the second being exp(x)."""
+    """Return the distances from the start and from the end of a run at which the quotient start / end is exp(x)."""
     return intervals / (1.0 + np.exp(-x)), intervals / (1.0 + np.exp(x))
 
 
 def stretched(start, end):
-    """tau and its derivative by t at the distances `start` from the first and `end` from the last node."""
+    """Return tau and d tau / dt at the distance `start` from the first node and `end` from the last node."""
     from_start, slope_start = end_stretch(start)
     from_end, slope_end = end_stretch(end)
     return start + from_start - from_end, 1.0 + slope_start + slope_end
 
 
 def end_stretch(t):
-    """tau(t) - t and its derivative at the distance t from one end of a semi-infinite run."""
+    """Return tau(t) - t, and the derivative of this difference, at the distance t from the end of a semi-infinite run."""
     x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
     small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
     slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)
@@ -124,7 +124,7 @@ def end_stretch(t):
 
 
 def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the values, then of the derivatives, at 0, 1, 2, 3 in Hermite interpolation of degree 7 at x."""
+    """Return the weights of values, then of derivatives, at 0, 1, 2, 3 in Hermite interpolation of degree 7 at x."""
     nodes = np.arange(4.0)
     weights = np.empty((x.size, 8))
     for k in range(4):
@@ -136,19 +136,19 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class EndWeights(NamedTuple):
-    """Additions to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
+    """Corrections of the weights of the trapezoidal rule at the first four nodes, which are mirrored at the end of a run."""
 
-    values: NDArray[np.float64]  # for the values, (4,); the first contains -1/2, because an end counts half
-    slopes: NDArray[np.float64]  # for the derivatives, (4,); with the opposite sign at the end of a run
+    values: NDArray[np.float64]  # for values, (4,); the first contains -1/2, because an end counts half
+    slopes: NDArray[np.float64]  # for derivatives, (4,); the sign is opposite at the end of a run
 
 
 @cache
 def end_weights() -> EndWeights:
-    """The weights for runs of any length.
+    """Return the corrections, which do not depend on the length of a run.
 
-    By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, the first and the last counted half, plus
-    B_2k / (2k)! times the difference of odd derivatives, start minus end. With derivatives from the Hermite interpolation of
-    four nodes the rule is exact up to degree 7.
+    By the Euler-Maclaurin formula the integral over a run is the trapezoidal sum plus B_2k / (2k)! times the difference of odd
+    derivatives, start minus end. The derivatives are taken from the Hermite interpolation of four nodes, so that the rule is
+    exact up to degree 7.
     """
     x = np.linspace(0.0, 3.0, 8)
     basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]

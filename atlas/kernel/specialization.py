@@ -1,4 +1,4 @@
-"""Kernels of a system: compiled once for each method and each set of terms that vanish, then cached."""
+"""Kernels of a system, which are compiled once for each method and each set of vanishing terms, and then cached."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Specialization:
 
     @classmethod
     def of(cls, system: System, zero: Set[str], equal: Set[tuple[str, str]]) -> Specialization:
-        """Specialization for parameters that are 0 (or absent), and pairs of equal parameters, at every point."""
+        """Return the specialization for parameters that are 0 or absent, and pairs of parameters that are equal, at all points."""
         zero_constants, equal_constants = system.specialization(zero, equal)
         return cls(frozenset(zero_constants), frozenset(equal_constants))
 
@@ -40,7 +40,7 @@ def source(
     plugs: tuple[Plug, ...] = (),
     of: ModuleType | None = None,
 ) -> str:
-    """Text of the kernel of a system; plugs, of: see `assemble.source`."""
+    """Return the text of the kernel of a system. `assemble.source` explains `plugs` and `of`."""
     if of is None and system.observables:
         from . import observe as of
     zero, equal = specialization.zero, dict(specialization.equal)
@@ -52,13 +52,13 @@ def source(
 def kernel(
     system: System, method: str, specialization: Specialization = GENERIC, plugs: tuple[Plug, ...] = ()
 ) -> ModuleType:
-    """The compiled module that integrates a system; compiled, or taken from the cache, at its first call."""
+    """Return the module that integrates a system. It is compiled, or taken from the cache, at the first call."""
     return _jit().load(source(system, method, specialization, plugs))
 
 
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module that integrates a system with a tangent vector."""
+    """Return the module that integrates a system with a tangent vector."""
     from . import tangent
 
     return _jit().load(source(system, TANGENT_METHOD.name, specialization, of=tangent))
@@ -66,7 +66,7 @@ def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> 
 
 @cache
 def node_kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module that gives states of a system along its motions, without statistics."""
+    """Return the module that computes states of a system along motions, without statistics."""
     from . import nodes
 
     return _jit().load(source(system, method, specialization, of=nodes))
@@ -74,7 +74,7 @@ def node_kernel(system: System, method: str, specialization: Specialization = GE
 
 @cache
 def slope_kernel(system: System) -> ModuleType:
-    """The compiled module of the slopes that reference solutions integrate."""
+    """Return the module that computes the slopes for reference solutions."""
     from . import quadratures
 
     return _jit().load(source(system, TANGENT_METHOD.name, of=quadratures))
@@ -82,12 +82,12 @@ def slope_kernel(system: System) -> ModuleType:
 
 @cache
 def kernel_hash(*sources: str) -> str:
-    """Hash of each source of a kernel with compilers and architecture, which every atlas records."""
+    """Return the hash that every atlas records, of the sources of kernels, the compilers and the architecture."""
     return "-".join(map(_jit().numeric_digest, sources))
 
 
 def _jit() -> Any:
-    """The compiler, imported here because reading and drawing atlases needs none."""
+    """Return the compiler. It is imported here because reading and drawing atlases does not need a compiler."""
     from . import machine_code
 
     return machine_code

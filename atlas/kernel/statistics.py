@@ -1,8 +1,8 @@
-"""Statistics of a run: their sums in the kernel, their final formulas, and their names in an atlas.
+"""Statistics of a run, with the sums in the kernel, the final formulas, and the names in an atlas.
 
-A statistic of every atlas is added in this module alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its
-formula in `finish`, and its entry in STATISTICS, which gives the registry of variables its name, unit and meaning. Statistics
-that only some scenes ask for are instruments (`measure.instrument`). No trajectory is kept.
+A statistic of every atlas is added in this module alone. It needs a row of the sums (`Row`), a line in `begin` and in
+`accumulate`, a formula in `finish`, and an entry in STATISTICS. The registry of variables takes name, unit and meaning from the
+entry. Statistics that only some scenes ask for are instruments (`measure.instrument`). No trajectory is kept.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Real part of ZERO_1 or ZERO_2 while it holds no zero.
+# ZERO_1_REAL or ZERO_2_REAL has this value while no zero is stored.
 NO_ZERO = -1e3
-# Largest relative difference between mean theta' of the samples and (theta_end - theta_start) / duration: from rounding (SAME_MEAN),
-# or from errors of the steps where variance / mean square of theta' is below CONSTANT (SAME_MEAN_OF_CONSTANT).
+# The mean of the sampled theta' agrees with (theta_end - theta_start) / duration if rounding explains the relative difference, up to
+# SAME_MEAN. If variance / mean square of theta' is below CONSTANT, errors of the steps explain up to SAME_MEAN_OF_CONSTANT.
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
 class Row(IntEnum):
-    """Rows of the kernel's output: sums, their quadrature errors, extremes, rates subtracted in the sums, theta at both ends in rad."""
+    """Rows of the kernel's output. A rate is subtracted from the REFERENCE of the rate in the sums. Angles are in rad."""
 
     OUTSIDE, THETA_DOT_SQUARED, THETA_DOT_CHANGE, THETA_DOT_CHANGE_SQUARED = range(4)
     PSI_DOT, PSI_DOT_SQUARED, PHI_DOT, PHI_DOT_SQUARED, NORMAL_RATE, NORMAL_RATE_SQUARED = range(4, 10)
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
     PHI_DOT_ERROR, PHI_DOT_SQUARED_ERROR = range(13, 15)
     AXIS_1, AXIS_2, COS_THETA_MIN, COS_THETA_MAX = range(15, 19)
-    # Least sin^2 theta where cos theta > 0 (ABOVE) and where cos theta < 0 (BELOW), 1 if the third axis never is there
+    # ABOVE is the least sin^2 theta where cos theta > 0, BELOW where cos theta < 0. The value is 1 if there is no such direction.
     SIN2_THETA_MIN_ABOVE, SIN2_THETA_MIN_BELOW, SIN2_THETA_MAX, DRIFT = range(19, 23)
     THETA_DOT_REFERENCE, PSI_DOT_REFERENCE, PHI_DOT_REFERENCE, NORMAL_RATE_REFERENCE = range(23, 27)
     FIRST_THETA, LAST_THETA = range(27, 29)
-    # The last two zeros of zeta whose quadrature errors were added
+    # These are the last two zeros of zeta whose quadrature errors were added.
     ZERO_1_REAL, ZERO_1_IMAG, ZERO_2_REAL, ZERO_2_IMAG = range(29, 33)
 
 
 class Node(IntEnum):
-    """Rows of a node of a motion: the result of `frame_motion`, angular velocity u and vertical g, and their derivatives.
+    """Rows of a node of a motion, which are the angular velocity u and the vertical g, then the derivatives of u and g.
 
-    u is in rad per time unit. Derivatives are by the kernel's unit of time, in which nodes are `spacing` apart; times
-    `inverse_unit` they are by the time unit.
+    u is in rad per time unit. The derivatives are by the kernel's unit of time, in which nodes are `spacing` apart. A derivative
+    times `inverse_unit` is by the time unit.
     """
 
     U1, U2, U3, G1, G2, G3 = range(6)
@@ -61,7 +61,7 @@ class Statistic:
     name: str  # name in the atlas and in the result of `finish`
     unit: str  # UDUNITS spelling
     long_name: str  # meaning, in a few words
-    needs_psi: bool = False  # whether it is undefined where the third axis stays inside the cylinder
+    needs_psi: bool = False  # whether undefined if the third axis stays inside the cylinder
 
 
 _RATE = "rad s-1"
@@ -86,7 +86,7 @@ NEEDS_PSI = tuple(statistic.name for statistic in STATISTICS if statistic.needs_
 
 
 def begin(stats, l, motion, cylinder_squared):
-    """Start the sums of lane l at the first node, whose rates are subtracted from later rates."""
+    """Start the sums of lane l at the first node. The rates there are subtracted from later rates."""
     for row in range(stats.shape[0]):
         stats[row, l] = 0.0
     theta_dot, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)
@@ -136,7 +136,7 @@ def extend(stats, l, cos_theta, sin2_theta):
 
 
 def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
-    """1.0 if theta in lane l may have a new extreme between two nodes at unit distance, else 0.0."""
+    """Return 1.0 if theta in lane l may have a new extreme between two nodes at unit distance, else 0.0."""
     margin = 0.25 * (abs(slope_0) + abs(slope_1)) + 1e-9
     above = 1.0 if max(cos_0, cos_1) + margin > stats[Row.COS_THETA_MAX, l] else 0.0
     below = 1.0 if min(cos_0, cos_1) - margin < stats[Row.COS_THETA_MIN, l] else 0.0
@@ -146,12 +146,12 @@ def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
 
 
 def end(stats, l, motion):
-    """Keep theta of the last node of lane l."""
+    """Store theta at the last node of lane l."""
     stats[Row.LAST_THETA, l] = np.arctan2(np.sqrt(motion[3] * motion[3] + motion[4] * motion[4]), motion[5])
 
 
 def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """theta in rad, 0 to pi, from cos theta or sin^2 theta, whichever is better conditioned."""
+    """Return theta from 0 to pi, computed from cos theta or sin^2 theta, whichever is better conditioned."""
     small = np.arcsin(np.sqrt(np.clip(sin2_theta, 0.0, 1.0)))
     from_sine = np.where(cos_theta > 0, small, np.pi - small)
     return np.where(np.abs(cos_theta) > 0.5, from_sine, np.arccos(np.clip(cos_theta, -1.0, 1.0)))
@@ -160,14 +160,14 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 def finish(
     out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """STATISTICS by name, sine_max (largest sin theta), outside (fraction of the samples), axis_1 and axis_2 (mean `axis_in_frame`)."""
+    """Return STATISTICS by name, with the largest sin theta (sine_max), the fraction outside the cylinder, and the mean axis."""
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan, so that an overflow stays visible.
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
         rms, shift = np.sqrt(square), out[Row.THETA_DOT_CHANGE] / intervals
         about_start = out[Row.THETA_DOT_CHANGE_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR]
         variance = np.maximum(about_start / intervals - shift**2, 0.0)
-        # theta' jumps where the axis passes the vertical: the sum over the samples then is not the change of theta.
+        # theta' jumps where the axis passes the vertical, so that the sum over the samples differs from the change of theta.
         mean = (out[Row.LAST_THETA] - out[Row.FIRST_THETA]) / duration
         same = np.where(variance < CONSTANT * square, SAME_MEAN_OF_CONSTANT, SAME_MEAN)
         jumps = np.abs(out[Row.THETA_DOT_REFERENCE] + shift - mean) > same * rms
@@ -176,7 +176,7 @@ def finish(
         )
         variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
         result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
-        outside = out[Row.OUTSIDE]  # weight of samples outside the cylinder; if 0, psi' and phi' are nan
+        outside = out[Row.OUTSIDE]  # weight of samples outside the cylinder; psi' and phi' are nan if it is 0
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
         phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]
@@ -205,5 +205,5 @@ def finish(
 
 
 def theta_dot_squared_sum(out: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum of theta'^2 over the samples, from output of the kernel, corrected for passages near the vertical."""
+    """Return the sum of theta'^2 over the samples, corrected for passages near the vertical."""
     return np.asarray(out[Row.THETA_DOT_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR])

@@ -1,7 +1,7 @@
 """Functions that write files whole or not at all, and that check paths.
 
 A file is written under a temporary name in the same folder and then renamed. The temporary name contains the process, so that
-`remove_leftovers` can tell files of dead processes.
+`remove_leftovers` can recognise files of dead processes.
 """
 
 from __future__ import annotations

@@ -32,8 +32,7 @@ class Label(Flag):
     UNRESOLVED = 4, "not decided: see status"
 
 
-# Variables whose values are `Label`. Two describe the third body axis, in the system's frame and in inertial space; two describe
-# the motion about any body axis in the same frames.
+# Variables with values of `Label`, for the third axis in the system's frame and in inertial space, then for any axis in both.
 LABELS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial")
 
 
@@ -82,7 +81,7 @@ class Stability(Flag):
 
 
 class EnergyStability(Flag):
-    """Whether a steady motion has the least energy for given values of the quantities that internal dissipation conserves."""
+    """Whether the energy of a steady motion is a minimum for given values of what internal dissipation conserves."""
 
     UNKNOWN = 0, "not known, or the second variation is degenerate"
     YES = 1, "a minimum of the energy on the level of what internal dissipation keeps: stable, also with it"

@@ -22,8 +22,7 @@ from .errors import printable
 INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
 STOPPED = 75  # exit code of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# A process that does not react to exceptions ends GRACE_PERIOD seconds after a signal. Each of finding and printing the message
-# may take MESSAGE_PERIOD seconds.
+# A process that does not react ends GRACE_PERIOD seconds after a signal. Finding or printing the message may take MESSAGE_PERIOD.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # by which batch systems announce the end of a job

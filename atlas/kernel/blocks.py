@@ -103,7 +103,7 @@ def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
 
 @dataclass(frozen=True)
 class Threads:
-    """Threads that integrate. `progress` is called with the work done since the last call, and may raise to end the run."""
+    """Threads that integrate. `progress` is called with the work done since the last call, and may raise an exception."""
 
     count: int | None = None  # None stands for one thread per processor, 0 for the calling thread
     progress: Callable[[float], None] = lambda work: None
@@ -126,9 +126,8 @@ def integrate(
 ) -> None:
     """Integrate every point of a schedule, and write states and sums into `arrays`.
 
-    `segment` is the range of nodes of each block, by default the whole run. If threads.count is None, the calling thread takes up
-    to FEW point-steps itself. `threads.progress` counts point-steps. After a KeyboardInterrupt, calls of the kernel that are
-    running end first, in under a second.
+    `segment` is the range of nodes of each block, by default the whole run. `threads.progress` counts point-steps. If threads.count
+    is None, the calling thread takes up to FEW point-steps itself. After a KeyboardInterrupt, running calls of the kernel end first.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN

@@ -18,7 +18,7 @@ _announcers = 0
 
 @contextmanager
 def compilation() -> Iterator[None]:
-    """Measure and announce the time of the compilation that runs in this context."""
+    """Announce the compilation that runs in this context, and measure the time."""
     global _began, _finished
     with _lock:
         _began = time.perf_counter()

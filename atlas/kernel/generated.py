@@ -17,8 +17,7 @@ TANGENT = 0  # number of components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
 STORES_SLOPE = False  # whether the slope at a node is kept for the first stage of the next step
 HAS_AXIS = False  # whether the system has `axis_in_frame`
-# Numbers of sums and constants of the plugged instruments (see `ensemble.Plug`). Without instruments, blocks `if PLUGGED:` are
-# left out.
+# Numbers of sums and constants of the plugged instruments (see `ensemble.Plug`). If 0, blocks `if PLUGGED:` are left out.
 PLUGGED, PLUGGED_GIVEN = 0, 0
 
 

@@ -136,8 +136,7 @@ def sample_weights(samples, j, spacing):
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     """Integrate blocks from `first_node` up to but without `last_node`, both of shape (blocks,).
 
-    A run begins at node 0 and ends at node steps / steps_per_sample. The bits of the results do not depend on how the run is
-    divided into calls. The rule is a `sampling.Quadrature`.
+    A run from node 0 to node steps / steps_per_sample may take several calls, with the same bits. The rule is a `Quadrature`.
     """
     full_vectors()
     points, steps, steps_per_sample = schedule
@@ -326,8 +325,7 @@ def queue_passages(
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
     """Return 1.0 if zeta may have a zero near an interval, else 0.0, and the place of the zero.
 
-    See `poles.turns_near_vertical`. If a run begins or ends near the vertical, zeta may have a zero there although sin^2 theta
-    has no minimum.
+    See `poles.turns_near_vertical`. At an end of a run near the vertical, a zero may exist although sin^2 theta has no minimum.
     """
     slope_0 = spacing * (nodes[first, Node.G1, l] * nodes[first, Node.DG1, l] + nodes[first, Node.G2, l] * nodes[first, Node.DG2, l])  # fmt: skip
     slope_1 = spacing * (nodes[second, Node.G1, l] * nodes[second, Node.DG1, l] + nodes[second, Node.G2, l] * nodes[second, Node.DG2, l])  # fmt: skip

@@ -236,7 +236,7 @@ def _define(source: str, module: ModuleType, *, functions: bool) -> None:
 
 
 def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arguments: Any) -> Any:
-    """Compile a kernel that is not in the cache. The time is measured and announced."""
+    """Compile a kernel that is not in the cache. The compilation is announced, and the time is measured."""
     # Garbage collection would take time and free little, because few objects of a compilation are in reference cycles.
     enabled = gc.isenabled()
     gc.disable()

@@ -38,7 +38,7 @@ PASSAGE_ROWS = max(Passage) + 1
 
 
 class Term(IntEnum):
-    """Rows of the result of `pole_terms`. PSI and PHI are coefficients of 1 / (t - z) in squares of rates with a zero z."""
+    """Rows of the result of `pole_terms`. THETA, PSI and PHI are coefficients of 1 / (t - z) in the squares of the rates."""
 
     Z_REAL, Z_IMAG = range(2)  # relative to the first of the four nodes
     CHANGE = 2  # squared distance by which the last step moved the zero
@@ -52,8 +52,7 @@ class Term(IntEnum):
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
     """Return 1.0 if sin^2 theta has a minimum near a zero of zeta between two nodes, else 0.0, and the place of the minimum.
 
-    `slope_0` and `slope_1` are half the derivatives of sin^2 theta at the nodes. A zero is near if the parabola with these values
-    has a zero within REACH of the real axis.
+    Slopes are half the derivative of sin^2 theta. The parabola with these values must have a zero within REACH of the real axis.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -242,8 +241,7 @@ TURN_ROWS = max(Turn) + 1
 def turns_twice(f0, f1, s0, s1, rounding):
     """Return 1.0 if a cubic with slopes of equal sign at 0 and 1 has two extremes in between, else 0.0.
 
-    The values at 0 and 1 are f0 and f1, the slopes s0 and s1. A cubic that starts at rest and turns back once counts as well.
-    Changes below `rounding` are ignored.
+    The values are f0 and f1, the slopes s0 and s1. A cubic may start at rest and turn back once. Changes below `rounding` are ignored.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)
@@ -287,7 +285,7 @@ def motion_of_turn(turns, e):
 def turning_point(turns, e):
     """Return cos theta and sin^2 theta at TIME in column e of `turns`, and improve TIME by a step of Newton's method.
 
-    TIME stays between NODE and the next node. If theta varies only by rounding, Newton's method would leave the four nodes.
+    TIME stays between NODE and the next node. Newton's method would leave the four nodes if theta varies only by rounding.
     """
     u, v, w = motion_of_turn(turns, e)
     before = turns[Turn.NODE, e] - turns[Turn.TIME, e]

@@ -16,7 +16,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 # tau(t) = t + CLUSTERING log(1 - exp(-p)), where p = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Every singularity beyond an
-# end lies at least CLUSTERING pi / 2 from the real tau axis. It causes an error of at most about exp(-pi^2 CLUSTERING).
+# end lies at least CLUSTERING pi / 2 from the real tau axis and causes an error of at most about exp(-pi^2 CLUSTERING).
 CLUSTERING = 2.25
 SQUARE, FOURTH = 5.0, 9.0
 # tau(t) differs from t in the first and last END intervals of a run, which do not overlap if a run has LONG intervals or more.

@@ -40,7 +40,7 @@ def source(
     plugs: tuple[Plug, ...] = (),
     of: ModuleType | None = None,
 ) -> str:
-    """Return the text of the kernel of a system. `assemble.source` explains `plugs` and `of`."""
+    """Return the text of the kernel of a system. `of` is the kernel module, and `plugs` are instruments in the kernel."""
     if of is None and system.observables:
         from . import observe as of
     zero, equal = specialization.zero, dict(specialization.equal)
@@ -52,7 +52,7 @@ def source(
 def kernel(
     system: System, method: str, specialization: Specialization = GENERIC, plugs: tuple[Plug, ...] = ()
 ) -> ModuleType:
-    """Return the module that integrates a system. It is compiled, or taken from the cache, at the first call."""
+    """Return the module that integrates a system. The kernel is compiled, or taken from the cache, at the first call."""
     return _jit().load(source(system, method, specialization, plugs))
 
 

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 # ZERO_1_REAL or ZERO_2_REAL has this value while no zero is stored.
 NO_ZERO = -1e3
-# The mean of the sampled theta' agrees with (theta_end - theta_start) / duration if rounding explains the relative difference, up to
-# SAME_MEAN. If variance / mean square of theta' is below CONSTANT, errors of the steps explain up to SAME_MEAN_OF_CONSTANT.
+# By rounding, the mean theta' of the samples may differ from (theta_end - theta_start) / duration by SAME_MEAN, relatively. By errors
+# of the steps it may differ by SAME_MEAN_OF_CONSTANT if variance / mean square of theta' is below CONSTANT.
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
 class Row(IntEnum):
-    """Rows of the kernel's output. A rate is subtracted from the REFERENCE of the rate in the sums. Angles are in rad."""
+    """Rows of the kernel's output, which are sums, quadrature errors, extremes, rates subtracted in sums, and theta at the ends."""
 
     OUTSIDE, THETA_DOT_SQUARED, THETA_DOT_CHANGE, THETA_DOT_CHANGE_SQUARED = range(4)
     PSI_DOT, PSI_DOT_SQUARED, PHI_DOT, PHI_DOT_SQUARED, NORMAL_RATE, NORMAL_RATE_SQUARED = range(4, 10)
@@ -176,7 +176,7 @@ def finish(
         )
         variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
         result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
-        outside = out[Row.OUTSIDE]  # weight of samples outside the cylinder; psi' and phi' are nan if it is 0
+        outside = out[Row.OUTSIDE]  # weight outside the cylinder; if the weight is 0, psi' and phi' are nan
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
         phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]

@@ -49,7 +49,7 @@ class Reference:
     """Reference solution of some points, with the uncertainty of the solution."""
 
     state: Array  # state at the end of the run, (states, points)
-    # Statistics of the main instrument, "sine_max" and "outside". Those of psi' and phi' are NaN inside the cylinder.
+    # Statistics of the main instrument, "sine_max" and "outside". Statistics of psi' and phi' are NaN inside the cylinder.
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
@@ -72,8 +72,8 @@ def reference(
 ) -> Reference:
     """Return final states, statistics and labels, or raise ReferenceFailure.
 
-    The closed form of a family is used where a start is exactly on the family. SciPy's DOP853 is used elsewhere; it integrates
-    every point at the relative tolerances REFERENCE_RTOL and SECOND_RTOL. The uncertainty is SAFETY times the difference of
+    SciPy's DOP853 integrates every point at the relative tolerances REFERENCE_RTOL and SECOND_RTOL. The closed form of a family
+    replaces the first run where a start is exactly on the family. The uncertainty is SAFETY times the difference of
     the two runs, or of the closed form and the first run. The closed form is not more certain than a run, because the rounding
     error of an exact start grows along an unstable motion.
     """
@@ -122,7 +122,7 @@ def reference(
 def reference_where_possible(
     system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> tuple[Reference | None, np.ndarray]:
-    """Return the reference solution of the points that have one, and the indices of these points; None if no point has one."""
+    """Return the reference solution without the points that fail (None if all fail), and the indices of the other points."""
     indices = np.arange(duration.size)
     while indices.size:
         try:
@@ -266,8 +266,7 @@ def _final_and_range(
 ) -> tuple[Array, Array, Array] | None:
     """Integrate to the time 1; return the states and sums there, and the extremes of some values along the way.
 
-    `values_along` returns these values and their time derivatives for an array (states, points, instants). The result is None
-    if a step fails.
+    `values_along` returns the values and the time derivatives at states (states, points, instants). If a step fails, return None.
     """
     states, size = start.shape
     # With a looser tolerance the sums shorten the steps only where a rate has a peak.

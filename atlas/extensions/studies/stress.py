@@ -37,8 +37,7 @@ from .stress_truth import (
     true_labels,
 )
 
-# The levels go from coarse to fine. The first have fixed steps, given as fractions of the method's stability limit at the
-# frequency bound; the others have automatic steps with these tolerances.
+# The levels, coarse to fine, are fixed steps at these ratios to the stability limit, then automatic steps at these tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 # Largest rate tolerance. The default grows with the natural rate, so that with a fast rotor all slow motions would be steady.
@@ -62,10 +61,7 @@ class Verdict(Flag):
 def stress(
     system: System | str, cases: Sequence[StressCase] | None = None, *, threads: int | None = None
 ) -> xr.Dataset:
-    """Run stress cases by every method at every level, and compare each label with the true label.
-
-    Without `cases`, the cases that the system defines are run, or `generic_cases` if there are none.
-    """
+    """Run cases, by default those of the system, by every method at every level, and compare each label with the true label."""
     if isinstance(system, str):
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
@@ -221,7 +217,7 @@ def mislabelled(ds: xr.Dataset) -> Mask:
 
 
 def unresolved(ds: xr.Dataset) -> Mask:
-    """Return a mask over (method, level, point): automatic steps give no label although the case expects a label."""
+    """Return a mask over (method, level, point) of automatic steps that give no label although the case expects a label."""
     automatic = np.arange(len(LEVELS)) >= len(RATIOS)
     expected = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != Label.UNRESOLVED)
     return np.asarray((ds["verdict"].values == Verdict.UNRESOLVED) & automatic[:, None] & expected)

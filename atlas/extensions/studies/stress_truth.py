@@ -23,8 +23,7 @@ from ...variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
-# The reference integrates a whole run if duration times frequency bound is at most MAX_RADIANS_WHOLE rad. It integrates
-# only the first RADIANS_OF_PART rad of a longer run.
+# Runs of up to MAX_RADIANS_WHOLE rad at the frequency bound are integrated whole, longer runs only for RADIANS_OF_PART rad.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
 # The statistics that exact motions give, and the accuracy of these statistics (of a rate divided by the frequency bound).
 EXACT_STATISTICS = (

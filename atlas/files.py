@@ -67,7 +67,7 @@ def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iter
             _sync(temporary)
         (os.link if new else os.replace)(temporary, path)
         if durable:
-            _sync(path.parent)  # makes the new name durable
+            _sync(path.parent)  # the new name must survive a power cut
     finally:
         temporary.unlink(missing_ok=True)
 

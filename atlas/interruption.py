@@ -146,7 +146,7 @@ def signals_as_interrupt() -> Iterator[None]:
         signal.signal(number, interrupt)
     try:
         yield
-    except Exception:  # libraries turn a KeyboardInterrupt into errors of their own
+    except Exception:  # a library may turn a KeyboardInterrupt into another error
         if received:
             raise KeyboardInterrupt from None
         raise

@@ -34,8 +34,8 @@ class BlockSchedule(NamedTuple):
     """Blocks of points with equal numbers of steps and nodes."""
 
     points: Counts  # indices of points, (blocks, WIDTH); the last point fills an incomplete block
-    steps: Counts  # as in StepSizes, (blocks,)
-    steps_per_sample: Counts  # as in StepSizes, (blocks,)
+    steps: Counts  # `StepSizes.steps` of the points, (blocks,)
+    steps_per_sample: Counts  # `StepSizes.steps_per_sample` of the points, (blocks,)
 
     @property
     def point_steps(self) -> int:

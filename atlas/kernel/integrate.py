@@ -245,7 +245,7 @@ def begin_runs(stats, integrals0, state, constants, inverse_unit, cylinder_squar
 
 
 def evaluate_node(nodes, slot, slopes, state, constants, inverse_unit):
-    """Write the motion and its derivative into a node, and the derivatives of the states into `slopes`."""
+    """Write the motion and the derivative of the motion into a node, and the derivatives of the states into `slopes`."""
     for l in range(WIDTH):
         y, c = load_state(state, l), load_constants(constants, l)
         store_motion(nodes, slot, 0, l, motion_of(y, c, inverse_unit[l]))
@@ -425,7 +425,7 @@ def zeros(passages, terms, farther, count):
 
 
 def collect_farther(passages, farther, places, count):
-    """Copy the passages whose second zero may be near into `farther`; return the number, rounded up to a multiple of 8."""
+    """Copy passages whose farther zero may be near to `farther`, and return the number rounded up to a multiple of 8."""
     number = 0
     for e in range(count):
         if passages[Passage.FARTHER, e] > 0.0:

@@ -116,7 +116,7 @@ def architecture() -> str:
 
 @functools.lru_cache(maxsize=8)
 def fuses(name: str, features: str) -> bool:
-    """Whether code for a processor fuses multiply and add where it may."""
+    """Whether LLVM fuses a multiplication and an addition for a processor with these features."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features)
@@ -178,7 +178,7 @@ def digest(source: str) -> str:
 
 
 def numeric_digest(source: str) -> str:
-    """Return a hash of all that changes the numbers of a kernel. Processors with equal bits have equal hashes."""
+    """Return a hash of all that changes the numbers of a kernel. Processors that compute equal bits have equal hashes."""
     environment = "\n".join((*_compilers(), architecture(), repr(numeric_settings())))
     return _hash([statement.tree for statement in _statements(source)], environment)
 

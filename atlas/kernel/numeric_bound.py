@@ -32,8 +32,8 @@ ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # If the frequency exceeds TOLERATED times the bound, the bound is raised by a factor from RAISE to RAISE_MOST. The factor is
 # limited because a coarse run may be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
-# For n = 2 and 3, the largest n-th derivative of a state divided by the largest (n - 1)-th derivative is at most OVERTONE times
-# the bound. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.
+# The bound is raised until the largest n-th derivative of a state, n = 2 and 3, is at most OVERTONE times the bound times the largest
+# (n - 1)-th derivative. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # number of Jacobians computed at a time
 FEW_STEPS = 20000  # this many steps, summed over points, take less time than starting a thread

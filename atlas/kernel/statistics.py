@@ -109,7 +109,7 @@ def accumulate(stats, l, motion, weight, cylinder_squared):
     psi_dot = (psi_dot - stats[Row.PSI_DOT_REFERENCE, l]) * outside
     phi_dot = (phi_dot - stats[Row.PHI_DOT_REFERENCE, l]) * outside
     normal_rate = normal_rate - stats[Row.NORMAL_RATE_REFERENCE, l]
-    # In another order of these sums rk8 takes up to a tenth longer.
+    # Adding to these sums in another order makes rk8 up to a tenth slower.
     stats[Row.OUTSIDE, l] += weight * outside
     stats[Row.THETA_DOT_SQUARED, l] += weight * theta_dot * theta_dot
     stats[Row.PSI_DOT, l] += weight * psi_dot
@@ -191,7 +191,7 @@ def finish(
             result[f"{name}_std"] = np.sqrt(np.maximum(square - shifted_mean**2, 0.0))
         low, high = out[Row.COS_THETA_MIN], out[Row.COS_THETA_MAX]
         widest = np.where((low < 0) & (high > 0), 1.0, out[Row.SIN2_THETA_MAX])
-        # On one side of the equator sin theta is largest at the extreme nearer to the equator.
+        # If theta stays on one side of the equator, sin theta is largest at the extreme nearer to the equator.
         result |= {
             "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
             "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),

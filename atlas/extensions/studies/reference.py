@@ -98,7 +98,7 @@ def reference(
         if main.has_theory:
             with np.errstate(invalid="ignore"):
                 labels.append(np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates]))
-            inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
+            inside = rates.in_cylinder(run, settings.cylinder)  # where psi' and phi' are undefined
             run |= {name: np.where(inside, np.nan, run[name]) for name in NEEDS_PSI}
         else:
             limits = observables.std_tolerances(system, settings.std_tolerance, settings.rate_tolerance)

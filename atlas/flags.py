@@ -114,7 +114,7 @@ class NonlinearStability(Flag):
 
 
 class PeriodicSolution(Flag):
-    """Linear stability of a periodic solution, decided by the pair of multipliers rho and 1/rho that is not 1."""
+    """Linear stability of a periodic solution, decided by the two multipliers rho and 1/rho that are not 1."""
 
     NOT_REACHED = 0, "no periodic solution is reached from eps = 0"
     STABLE = 1, "rho is on the unit circle"

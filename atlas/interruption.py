@@ -37,7 +37,7 @@ class Stopped(Exception):
 
 
 def end_process(number: int | None = None, *_: object) -> None:
-    """End the process at once with the exit code of an interruption. This harms no file, because files are moved in place whole."""
+    """End the process at once with the exit code of an interruption. No file is harmed, because files are moved into place whole."""
     code, text = outcome(number)
     _in_time(lambda: os.write(2, f"{text}\n".encode()))
     os._exit(code)

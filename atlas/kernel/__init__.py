@@ -1,1 +1,1 @@
-"""Integration of any system with floats and arrays alone, including step sizes, statistics and cached machine code."""
+"""The kernel: any system integrated with floats and arrays only; step sizes, statistics, generated and cached machine code."""

@@ -66,7 +66,7 @@ def stress(
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
-    # The cases without a `truth` come first, because one call of `true_labels` finds the labels of them all.
+    # The cases without a `truth` come first, because one call of `true_labels` finds the labels of all.
     parts.sort(key=lambda part: part.truth != "")
     plain, truths = [part for part in parts if not part.truth], list[TrueLabels]()
     if plain:

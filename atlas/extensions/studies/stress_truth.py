@@ -83,7 +83,7 @@ class CasePoints:
 
 
 def case_points(system: System, case: StressCase) -> CasePoints:
-    """Return the points of a case. The family's parameter is solved for first; then the additions are made."""
+    """Return the points of a case. `solve` puts the points on a family before the additions are made."""
     varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
     size = max((values.size for values in varying.values()), default=1)
     points, _ = point_columns(

@@ -191,7 +191,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
         advance(sample.indices.size / len(selected))
         error = max(nanmedian(result["error_state"]), nanmedian(result["error_rates"]))
         without_gain = without_gain + 1 if error > 0.5 * smallest_error else 0
-        # Rounding and the uncertainty of the reference limit the gain of smaller steps.
+        # Smaller steps cannot reduce the error below rounding and the uncertainty of the reference.
         if level > own and without_gain >= (1 if error < 3 * uncertainty else 3):
             return
         smallest_error = min(smallest_error, error)

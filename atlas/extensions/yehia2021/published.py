@@ -51,7 +51,7 @@ def euler_state(point: Point) -> list[Array]:
     return [point[name] for name in STATE]
 
 
-# A condition is measured by the residual of the motion that satisfies it.
+# The error of a condition is the residual of the motion that satisfies the condition.
 
 
 def residual(point: Point) -> float:
@@ -71,7 +71,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the amount by which a true motion exceeds the printed limits, or for the true reading the motion's residual."""
+    """Return the amount by which a true motion exceeds the printed limits, or for the true reading the residual."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)

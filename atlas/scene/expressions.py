@@ -132,7 +132,7 @@ class PointColumn:
     names = frozenset({"point"})
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Return the values at the points with the numbers values["point"]."""
+        """Return the entries of the column at the positions values["point"]."""
         return self.column[values["point"].astype(np.int64)]
 
 

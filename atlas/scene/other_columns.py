@@ -90,7 +90,7 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether `_is_nearly_number` accepts a text, or all parts of a text with a decimal point."""
+    """Whether `_is_nearly_number` accepts a text, or the text has a decimal point and each of its parts is accepted."""
     parts = re.split(r"[\s,;|/&]+", field)  # Colons are left out, because they occur in times of day.
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 

@@ -223,7 +223,7 @@ class Objects:
     def _answer(
         self, request: str | Callable[[str, Any], Any], name: str = "", *arguments: Any, **options: Any
     ) -> Any:
-        """Call a function of obstore, again while the store does not answer, and return the result. Failures raise OSError."""
+        """Call a function of obstore and return its result. The call is repeated while the store does not answer; failures raise OSError."""
         import obstore
 
         path, began, pause, warned = self.prefix + name, time.monotonic(), FIRST_PAUSE, False

@@ -48,7 +48,7 @@ _DISCRIMINANT_ROUNDING = 1e-13
 # Solutions beside a pitchfork are compared at the distance `_BESIDE` and found in `_STEPS_BESIDE` steps of Newton's method. Extrema
 # of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
-_ON_SIDE = 5  # steps of Newton's method onto a side of the box
+_ON_SIDE = 5  # number of Newton steps that move a point onto a side of the box
 # These matrices E_k say that two (`FRAMES`) or three (`TRIADS`) vectors are orthonormal.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]

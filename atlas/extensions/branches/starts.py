@@ -209,7 +209,7 @@ def _margin(condition: int) -> Callable[[Degenerate], Array]:
 
 
 def _crossing(points: Degenerate) -> Array:
-    """Return values that vanish where limits of stability have cusps, or cross each other because the covector vanishes."""
+    """Return a function that is zero where a limit of stability has a cusp, or where the covector is zero and two limits cross."""
     _, (bend, _), covector = points.character()
     return np.where(points.limit, bend * (covector @ _ANY[:2]), 1.0)
 

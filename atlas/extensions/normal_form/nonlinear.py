@@ -144,7 +144,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
         (StabilityKind.UNSTABLE, NonlinearStability.LINEARLY_UNSTABLE),
     ):
         result[kind == linear] = verdict
-    # Without dissipation every momentum is constant, and a maximum of the energy shows stability as well as a minimum.
+    # Without dissipation every momentum is constant, and a motion is stable at a maximum of the energy, as it is at a minimum.
     stable = np.isin(
         kind, (StabilityKind.ENERGY_STABLE, StabilityKind.ENERGY_STABLE_AXIAL, StabilityKind.GYROSCOPIC)
     )

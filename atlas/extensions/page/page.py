@@ -79,7 +79,7 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
     Parameters
     ----------
     degrees : bool, optional
-        Show angles in degrees. Default: those axes for which the scene has display_units = "deg".
+        Show all angles in degrees. By default only the axes with display_units = "deg" in the scene are in degrees.
 
     Returns
     -------

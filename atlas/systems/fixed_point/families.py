@@ -160,7 +160,7 @@ def _solve_permanent(name: str, points: Points) -> Array:
 def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
     """Return theta0 or phi0 of the permanent rotation whose vertical, in the body, is nearest to the vertical of the start.
 
-    For phi0 only rotations with the given theta0 count, so that both may be solved together. Without such a rotation return nan.
+    The search for phi0 keeps the given theta0, so that both may be solved together. The result is nan where there is no rotation.
     """
     gamma = vertical(points)
     n = np.zeros_like(points["A"]) if resting else rates(points)[1]

@@ -47,7 +47,7 @@ def of_harmonics(
 
 
 def of_steps(matrices: Array) -> tuple[Array, Array]:
-    """Return fundamental matrices of at most LANES points, scaled to largest entries of 1 to 2, and logarithms of the factors.
+    """Return fundamental matrices of at most LANES points, with largest entries of 1 to 2, and the logarithms of their scale factors.
 
     The array `matrices`, (steps, 3, size, size, points), contains the system's matrices at the Gauss nodes, times the step.
     """

@@ -80,7 +80,9 @@ class Borders(NamedTuple):
     plane: Plane
     potential: Potential
     lines: list[Curve]
-    morse_index: NDArray[np.int64]  # the lower of the Morse indices on the two sides, between each vertex and the next
+    morse_index: NDArray[
+        np.int64
+    ]  # the lower of the Morse indices on the two sides, between each vertex and the next
     changes: Array  # solutions on the left of the curve minus on the right, (2, vertices); the second row counts stable solutions
     axis: Array  # positions along each side of the grid on which equilibria are counted
     cells: NDArray[np.int8]

@@ -1,9 +1,9 @@
 """Families of periodic motions from a steady motion to their end, and the bifurcations on the way.
 
-With rho = mu + 1/mu of the pairs of multipliers, one is 1 where the product of 2 - rho vanishes, -1 where that of 2 + rho does, and
-pairs meet where two rho are equal. The energy and the period have folds where their slopes along the family vanish. Where both
-vanish at one orbit the family comes back on itself and has ended: at a steady motion, where the amplitude is 0, on an orbit that is
-run through several times, y(T/k) = R y(0), or else on its own mirror image.
+Each pair of multipliers mu, 1/mu has the sum rho = mu + 1/mu. A multiplier is 1 where the product of all 2 - rho vanishes, and -1
+where the product of all 2 + rho vanishes; two pairs meet where their rho are equal. The energy or the period has a fold where its
+slope along the family vanishes. Where both slopes vanish at one orbit, the family comes back on itself and ends. This orbit is a
+steady motion (amplitude 0), another orbit run through k times, y(T/k) = R y(0), or else an orbit that is its own mirror image.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from .flow import SIZE
 from .orbits import Family, Orbit, Solution
 
 NODES, MOST_NODES = 5, 40
-# Longest part between two nodes, in periods of the birth, and its largest expansion.
+# Nodes are added if two nodes are more than SEGMENT periods of the birth apart, or if changes grow there by more than EXPANSION.
 SEGMENT, EXPANSION = 0.3, 60.0
-# Steps by arc length: the first ones, of which the slope at the birth is extrapolated, the longest, the shortest, and their number.
+# Length and number of the first steps, which give the slope at the birth; longest and shortest step; largest number of steps.
 FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
-# Largest change of the angles and of the logarithms of multipliers, and least cosine between tangents, in a step.
+# Largest changes of the angles of multipliers and the logarithms of their magnitudes in a step; least cosine between tangents.
 ANGLE, GROWTH, COSINE = 0.35, 1.5, 0.9
-FAR = 0.35  # largest distance of an orbit from its guess, over the step
-FAST = 12.0  # rates that grow without bound, in rates of the birth
-SLOW = 1.5e-3  # least speed over the largest one at which a long period may be due to a steady motion
-COMPLETE = 3.0  # periods of the birth up to which pairs of events within a step are looked for
-LATER = 3.0  # times so much may multipliers change in a step beyond
-# A function below this part of its values may have a pair of zeros; orbits that are looked at for it; it touches zero by rounding.
+FAR = 0.35  # largest distance of an orbit from its guess, as a fraction of the step
+FAST = 12.0  # a family is unbounded if a rate exceeds this multiple of `Flow.rate`
+SLOW = 1.5e-3  # a steady motion may be near an orbit whose least speed is below this fraction of the largest
+COMPLETE = 3.0  # pairs of events within a step are looked for up to this period, in periods of the birth
+LATER = 3.0  # beyond COMPLETE, multipliers may change this many times as much in a step
+# A pair of zeros may be where a polynomial falls below DIP times the known values. Up to PAIRED orbits are computed there, until a
+# value is below TOUCHING, which is 0 within rounding errors.
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
-SAME = 0.02  # of a step: events that are one
-RETURNED = (
-    0.01  # distance of a state from an earlier one, over the size of the orbit, below which they are the same
-)
-# A zero is on the polynomial of so many members if one is as near, of a step, and the function there as small, of its values.
+SAME = 0.02  # events at a distance below this fraction of a step are the same
+RETURNED = 0.01  # states at a distance below this fraction of the size of the orbit are the same
+# The zero of a polynomial through KNOWN members is accepted if a member is nearer than NEAR times the step, and the value there is
+# below SMALL times the values at the ends.
 KNOWN, NEAR, SMALL = 6, 1e-5, 1e-3
-SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # of a distance, where members beside a singular orbit are
+SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # fractions of an interval that has a singular orbit
 
 
 class Event(NamedTuple):
-    """An event of a family, or its end."""
+    """An event along a family, or the end of the family."""
 
     kind: Flag
     period: float
@@ -57,18 +57,18 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True)
 class Member:
-    """An orbit of a family, with what decides on events and steps."""
+    """An orbit of a family, with the values that decide on events and steps."""
 
     orbit: Orbit
     arc: float
     energy: float
     multipliers: Array
-    angles: Array  # of the multipliers, and logarithms of their magnitudes, (2, pairs)
-    tests: dict[PeriodicEvent, float]  # functions that change their signs at events
+    angles: Array  # angles of the multipliers and logarithms of their magnitudes, (2, pairs)
+    tests: dict[PeriodicEvent, float]  # values of functions that change sign at events
     solution: Solution
 
     def far_from(self, other: Member) -> float:
-        """Change of the multipliers, 1 at the limit."""
+        """Return the largest change of the multipliers from `other`, as a fraction of ANGLE or GROWTH."""
         if self.angles.shape != other.angles.shape or not self.angles.size:
             return 0.0
         orders = ([0, 1], [1, 0]) if self.angles.shape[1] == 2 else ([0],)
@@ -77,7 +77,7 @@ class Member:
 
 
 def member(family: Family, solution: Solution, arc: float) -> Member:
-    """A member of an orbit."""
+    """Return the member for the orbit of `solution` at the arc length `arc`."""
     orbit = solution.orbit
     mu = family.multipliers(orbit, solution.matrices)
     rho = mu[::2] + mu[1::2]
@@ -97,19 +97,19 @@ Value = Callable[[Member], Any]
 
 
 def test(kind: PeriodicEvent) -> Value:
-    """The function of members that vanishes at events of a kind."""
+    """Return the function of a member that vanishes at events of `kind`."""
     return lambda each: each.tests[kind]
 
 
 class Section:
-    """The part of a family between two members of a path, and the members known of it."""
+    """The part of a family between two successive members of a path, with all members computed there."""
 
     def __init__(self, path: Path, start: Member, end: Member) -> None:
         self.path, self.start, self.end = path, start, end
         self.length, self.members = end.arc - start.arc, [start, end]
 
     def at(self, arc: float) -> Member | None:
-        """The member at an arc length; None if Newton's method fails."""
+        """Return the member at the arc length `arc`, or None if Newton's method fails or finds a wrong tangent."""
         near = self.nearest(arc)[0]
         if abs(near.arc - arc) < 1e-3 * NEAR * self.length:
             return near
@@ -120,14 +120,14 @@ class Section:
         return new
 
     def turn(self, other: Member) -> float:
-        """How far the tangent has turned from the start: beside a singular orbit it is not that of the family."""
+        """Return 1 - cosine between the tangents at the start and at `other`. Near a singular orbit, tangents may be wrong."""
         return 1.0 - float(self.start.orbit.tangent @ other.orbit.tangent)
 
     def nearest(self, arc: float) -> list[Member]:
         return sorted(self.members, key=lambda each: abs(each.arc - arc))[:KNOWN]
 
     def coefficients(self, value: Value, arc: float, others: Sequence[Member] = ()) -> tuple[Array, float]:
-        """Of a polynomial through members near an arc length, in the distance from there over the unit that follows."""
+        """Return the coefficients of a polynomial through members near `arc`, in (arc length - `arc`) / unit, and the unit."""
         near = [*self.nearest(arc), *others]
         distances = np.array([each.arc - arc for each in near])
         unit = np.abs(distances).max()
@@ -139,29 +139,29 @@ class Section:
         return Polynomial(coefficients, domain=[-unit, unit])
 
     def estimate(self, value: Value, low: Member, high: Member) -> float:
-        """Arc length between two members at which the polynomial of a function vanishes."""
+        """Return the arc length where the polynomial of `value` vanishes between `low` and `high`, or the middle if it does not."""
         middle, width = 0.5 * (low.arc + high.arc), 0.5 * (high.arc - low.arc)
         roots = _real(self.polynomial(value, middle).roots(), width)
         return middle + (roots[0] if roots.size else 0.0)
 
     def zero(self, value: Value, low: Member, high: Member) -> float:
-        """Arc length at which a function vanishes that has other signs at two members."""
+        """Return the arc length between `low` and `high` at which `value` vanishes; it has opposite signs at the two members."""
         size = SMALL * max(abs(value(low)), abs(value(high)))
         for i in range(60):
             arc = self.estimate(value, low, high)
             near = self.nearest(arc)[0]
             if abs(near.arc - arc) < NEAR * self.length and abs(value(near)) < size:
                 return arc
-            # A polynomial may approach a zero of a steep function too slowly.
+            # The polynomials may approach a zero of a steep function too slowly, so that every fourth step is a bisection.
             if (new := self.at(arc if i % 4 < 3 else 0.5 * (low.arc + high.arc))) is None:
                 break
             low, high = (low, new) if value(new) * value(low) < 0 else (new, high)
-        for share in SHARES:  # beside a singular orbit
+        for share in SHARES:  # a singular orbit is near, where Newton's method fails
             self.at(low.arc + share * (high.arc - low.arc))
         return self.estimate(value, low, high)
 
     def leave(self, arc: float) -> None:
-        """Keep members at some distance of a singular orbit, beside which they have few digits."""
+        """Add members to the section, and drop those near the singular orbit at `arc`, which have few correct digits."""
         for share in SHARES:
             self.at(self.start.arc + share * self.length)
         inner = [each for each in self.members[1:-1] if abs(each.arc - arc) > SAME * self.length]
@@ -177,7 +177,7 @@ class Section:
         return [self.zero(value, a, b) for a, b in pairwise(self.members) if value(a) * value(b) < 0]
 
     def hides_no_pair(self, value: Value, others: Sequence[Member]) -> bool:
-        """Whether it is sure, with the help of members beside, that no pair of zeros is left between two members."""
+        """Compute members where `value` may have a pair of zeros; return whether no pair is missed. `others` are neighbours."""
         middle, sign = self.start.arc + 0.5 * self.length, np.sign(value(self.start))
         for _ in range(PAIRED):
             values = [sign * value(each) for each in self.members]
@@ -193,12 +193,12 @@ class Section:
 
 
 def _real(roots: np.ndarray, width: float) -> Array:
-    """Real roots that are within a distance of 0."""
+    """Return the real ones of `roots` from -`width` to `width`, in increasing order."""
     return np.sort(roots[(np.abs(roots.imag) < 1e-9 * width) & (np.abs(roots.real) <= width)].real)
 
 
 class Path:
-    """Members of a family in their order, and its end."""
+    """The members of a family, in order from the birth, and the end of the family."""
 
     end: Event
 
@@ -207,18 +207,18 @@ class Path:
         orbit, energy = family.born(NODES), family.birth_energy
         solution = Solution(orbit, np.empty((0, SIZE, SIZE)), 0.0, 0, 0.0)
         self.birth = Member(orbit, 0.0, energy, np.empty(0), np.empty((2, 0)), {}, solution)
-        self.sections: list[Section] = []  # from the birth on
+        self.sections: list[Section] = []  # the first one starts at the birth
         self.members: list[Member] = []
         self.fastest = 0.0
 
     def follow(self, max_period: float) -> Path:
-        """The path with its members up to a period in periods of the birth, and its end."""
+        """Follow the family to its end, or until its period is `max_period` times that of the birth. Return the path."""
         self.longest = max_period * self.family.unit
         self.end = self._follow()
         return self
 
     def beside(self, start: Member, step: float) -> Member | None:
-        """The member after a step along the tangent; None if Newton's method fails or leads to another family."""
+        """Return the member after `step` along the tangent at `start`; None if Newton's method fails or leads to another family."""
         solution = self.family.corrected(self.family.moved(start.orbit, step * start.orbit.tangent))
         if solution is None or solution.distance > FAR * abs(step):
             return None
@@ -231,7 +231,7 @@ class Path:
             new = self.beside(before, step)
             if new is None:
                 failures += 1
-                # At a singular orbit shorter steps fail as well: a longer one may lead across it.
+                # At a singular orbit shorter steps fail as well, but a longer step may lead across this orbit.
                 step = step / 2 if failures % 5 else min(step * 40.0, LONGEST)
                 continue
             change = before.far_from(new)
@@ -253,7 +253,7 @@ class Path:
         return self._at_steady_motion(1e-3) or self._left(kind)
 
     def _with_nodes(self, new: Member) -> Member:
-        """The member with as many nodes as the next step needs."""
+        """Return `new` with the frequency bound of its first state, and with more nodes if its segments are too long."""
         family, orbit, m = self.family, new.orbit, len(new.orbit.states)
         orbit = replace(orbit, bound=family.flow.bound(orbit.states[0]))
         expansion = np.linalg.norm(new.solution.matrices, 2, axis=(1, 2)).max()
@@ -266,7 +266,7 @@ class Path:
         return Event(kind, last.orbit.period, last.energy, last.arc)
 
     def _ended(self) -> Event | None:
-        """The end of the family, if it is at the last member."""
+        """Return the end of the family if the last member has reached it."""
         new, unit, section = self.members[-1], self.family.unit, self.sections[-1]
         speeds = self.family.flow.speeds(new.orbit.states)
         self.fastest = max(self.fastest, speeds.max())
@@ -286,7 +286,7 @@ class Path:
         return self._at_steady_motion(1e-4) if long else None
 
     def _at_steady_motion(self, tolerance: float) -> Event | None:
-        """The end at infinite period, if the slowest state is near a steady motion whose energy is the limit."""
+        """Return an end at infinite period if the slowest state is near a steady motion whose energy the family approaches."""
         flow, new = self.family.flow, self.members[-1]
         speeds = flow.speeds(new.orbit.states)
         state = self.family.steady_state(new.orbit, int(np.argmin(speeds)))
@@ -298,7 +298,7 @@ class Path:
         return Event(FamilyEnd.ASYMPTOTIC, np.inf, energy, new.arc) if near else None
 
     def _kind_of_return(self, section: Section, arc: float) -> Flag:
-        """Where a family comes back on itself."""
+        """Return the kind of end of a family that comes back on itself at `arc`."""
         flow, orbit = self.family.flow, section.nearest(arc)[0].orbit
         if flow.speeds(orbit.states).max() < 0.05 * self.fastest:
             return FamilyEnd.STEADY_MOTION
@@ -309,7 +309,7 @@ class Path:
         size = np.linalg.norm(flow.difference(others, orbit.states[:1]), axis=1).max()
 
         def after(parts: int, turns: int, each: Member) -> Array:
-            """The state after a part of the period, turned back."""
+            """Return the state after 1/`parts` of the period, turned back by (chi + 2 pi `turns`) / `parts`."""
             orbit = each.orbit
             later = flow.run(orbit.states[:1], orbit.period / parts, orbit.bound)[0]
             return flow.turned(later, -(orbit.chi + 2 * np.pi * turns) / parts)[0]
@@ -317,14 +317,14 @@ class Path:
         for parts, turns in ((k, j) for k in range(2, 9) for j in range(k if flow.symmetric else 1)):
             values = partial(after, parts, turns), lambda each: each.orbit.states[0]
             later, first = (section.coefficients(value, arc)[0][:1] for value in values)
-            # The difference vanishes at half a turn as well.
+            # `Flow.difference` may also vanish between attitudes that are half a turn apart.
             near = (flow.vectors(later)[:, 1:] * flow.vectors(first)[:, 1:]).sum(-1).min() > 0
             if near and np.linalg.norm(flow.difference(later, first)) < RETURNED * size:
                 return FamilyEnd.MULTIPLE
         return FamilyEnd.MIRROR
 
     def events(self) -> tuple[list[Event], bool]:
-        """Events in their order, and whether no pair of them within a step was missed."""
+        """Return the events in order along the family, and whether no pair of events within a step was missed."""
         result, complete = list[Event](), self.end.kind not in (FamilyEnd.LOST, FamilyEnd.STEP_LIMIT)
         for i, section in enumerate(self.sections[1:], 1):
             start, others = section.start, self.members[max(i - 2, 0) : i + 2]
@@ -332,7 +332,7 @@ class Path:
             if start.orbit.period < COMPLETE * self.family.unit:
                 complete &= all([section.hides_no_pair(test(kind), others) for kind in start.tests])
             places = {kind: section.zeros(test(kind)) for kind in start.tests}
-            # At a fold of the energy a multiplier is 1 as well.
+            # A multiplier is also 1 at a fold of the energy, where no other family crosses.
             folds, same = places[PeriodicEvent.FOLD], SAME * section.length
             for kind, arcs in places.items():
                 for arc in arcs:
@@ -342,7 +342,7 @@ class Path:
         return sorted(result, key=lambda event: event.arc), complete
 
     def at_energy(self, energy: float) -> list[Member]:
-        """Every member of an energy, in the order of the family."""
+        """Return all members that have `energy`, in order along the family."""
         result = []
         for section in self.sections:
             if section.start.tests:

@@ -42,20 +42,20 @@ def periodic_diagram(
     Parameters
     ----------
     y : {"period", "amplitude", "energy"}, optional
-        What is drawn; the amplitude is the range of theta.
+        Quantity to draw; the amplitude is the range of theta.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw into; default a figure of its own.
+        Axes to draw into. By default a new figure is made.
     title : str, optional
         Title of the figure.
     legend : bool, optional
-        Draw the legend, with the frequency at the birth of each family and its end.
+        Draw the legend, which gives the frequency at the birth of each family and the kind of its end.
     width : {"column", "page"}, optional
-        88 mm or 180 mm.
+        Width of the figure, 88 mm or 180 mm.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Lines are full where orbits are stable and dashed where they are unstable; markers are events.
+        Lines are full where orbits are stable and dashed where orbits are unstable; markers show events.
     """
     if "orbit_stable" not in ds or ds["arc"].dims != ("family", "orbit"):
         raise BadInput(

@@ -1,8 +1,8 @@
-"""The flow of one body with its tangent vectors, in which rates are divided by a rate of the body.
+"""The flow of one body, and the growth of small changes of its states.
 
-A change of a state has six components: of the angular velocity w, and of the attitude. Where the frame has two directions v the
-attitude changes by a rotation eta, dv = v x eta, as in `kernel.augmented`; where it has gamma alone by d gamma. Motions of a body
-symmetric about its third axis differ by turns R(chi) about it: R turns the components 1 and 2 of w, of directions and of eta alike.
+A change of a state has three components of the angular velocity w, divided by `Flow.rate`, and three of the attitude: a rotation
+eta, dv = v x eta, if the state has two directions v of the frame, or else d gamma. If the body is symmetric about its third axis, a
+motion turned by R(chi) about this axis is a motion too. R(chi) turns the components 1 and 2 of w, of directions and of eta.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from ...measure.tangent_runs import TangentArrays
 from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 
-SIZE = 6  # components of a change
-RADIANS = 0.3  # largest step times the frequency bound: errors of a period are rounding
+SIZE = 6  # number of components of a change
+RADIANS = 0.3  # largest step times the frequency bound; it leaves rounding errors in a period
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Vector product of (..., 3); for few vectors NumPy's takes ten times as long."""
+    """Return the vector products of (..., 3); for few vectors `numpy.cross` takes ten times as long."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
 def turn(chi: float) -> Array:
-    """R(chi) for the components of changes."""
+    """Return the matrix R(chi) for the components of changes."""
     c, s, matrix = np.cos(chi), np.sin(chi), np.eye(SIZE)
     matrix[:2, :2] = matrix[3:5, 3:5] = [[c, -s], [s, c]]
     return matrix
@@ -42,13 +42,13 @@ def turn(chi: float) -> Array:
 
 @cache
 def _schedule(lanes: int, steps: int) -> BlockSchedule:
-    """Blocks of lanes with equal steps and one node."""
+    """Return blocks of `lanes` lanes that have equal numbers of steps and one node each."""
     ones = np.ones(lanes, np.int64)
     return pack_blocks(steps * ones, ones)
 
 
 class Flow:
-    """Equations, integrals and symmetry of one body; states are (states, N), changes (states, 6)."""
+    """Equations, integrals and symmetry of one body. Arrays of states are (states, N), arrays of changes (states, 6)."""
 
     def __init__(self, system: Gyrostat, points: Points) -> None:
         self.system, self.equations, self.ensemble = system, system.equations, Ensemble.of(system, points)
@@ -59,22 +59,22 @@ class Flow:
         powers, constant = self.equations.INTEGRALS, system.integral_scales(points)
         self.energy = next(iter(powers))
         self.momenta = [name for name in powers if powers[name] == 1 and not np.isnan(constant[name][0])]
-        # Rotations keep lengths.
+        # Rotations keep the length of gamma.
         self.held = self.momenta if self.rotates else ["length_gamma", *self.momenta]
         self.tangents = specialization.tangent_kernel(system)
         self.path = specialization.node_kernel(system, TANGENT_METHOD.name)
 
     def vectors(self, states: Array) -> Array:
-        """The angular velocity and the directions of the frame, (states, vectors, 3)."""
+        """Return the angular velocity and the directions of the frame in every state, (states, vectors, 3)."""
         return states.reshape(len(states), -1, 3)
 
     def moved(self, states: Array, changes: Array) -> Array:
-        """States after changes, exactly on the attitudes."""
+        """Return `states` after `changes`; a change eta is applied as a finite rotation."""
         v = self.vectors(states).copy()
         v[:, 0] += self.rate * changes[:, :3]
         if self.rotates:
             v[:, 1:] = v[:, 1:] @ Rotation.from_rotvec(changes[:, 3:]).as_matrix()
-            # Rounding errors of many turns add up.
+            # Rounding errors of many rotations would add up.
             v[:, 2] /= np.linalg.norm(v[:, 2], axis=1)[:, None]
             v[:, 1] -= (v[:, 1] * v[:, 2]).sum(1)[:, None] * v[:, 2]
             v[:, 1] /= np.linalg.norm(v[:, 1], axis=1)[:, None]
@@ -83,7 +83,7 @@ class Flow:
         return v.reshape(states.shape)
 
     def difference(self, ends: Array, states: Array) -> Array:
-        """The change, to first order, from states to others near them."""
+        """Return the changes from `states` to the nearby `ends`, to first order."""
         a, b = self.vectors(ends), self.vectors(states)
         attitude = a[:, 1] - b[:, 1]
         if self.rotates:
@@ -92,11 +92,11 @@ class Flow:
         return np.hstack([(a[:, 0] - b[:, 0]) / self.rate, attitude])
 
     def value(self, name: str, state: Array) -> float:
-        """An integral at a state."""
+        """Return the integral `name` at `state`."""
         return float(sum(getattr(self.equations, name)(state, self.constants[:, 0])))
 
     def gradients(self, names: Sequence[str], state: Array) -> Array:
-        """Derivatives of integrals, (names, 6): they are quadratic, so that central differences are exact."""
+        """Return the derivatives of integrals, (names, 6). Integrals are quadratic, so that central differences are exact."""
         v, unit = self.vectors(state[None])[0], np.eye(3)
         moved = np.zeros((SIZE, *v.shape))
         moved[:3, 0] = self.rate * unit
@@ -108,7 +108,7 @@ class Flow:
         return np.reshape(rows, (len(rows), SIZE)) / 2e-3
 
     def slopes(self, states: Array) -> Array:
-        """Changes per time."""
+        """Return the changes of `states` per unit of time."""
         derivative = np.array(self.equations.rhs(states.T, self.constants), float).T
         attitude = derivative[:, 3:]
         if self.rotates:
@@ -116,7 +116,7 @@ class Flow:
         return np.hstack([derivative[:, :3] / self.rate, attitude])
 
     def symmetry(self, states: Array) -> Array:
-        """Derivatives of R(chi) y by chi; 0 of a body without symmetry."""
+        """Return the derivatives of R(chi) y by chi at chi = 0; they are 0 for a body without symmetry."""
         if not self.symmetric:
             return np.zeros((len(states), SIZE))
         v, axis = self.vectors(states), np.array([0.0, 0.0, 1.0])
@@ -124,21 +124,21 @@ class Flow:
         return np.hstack([cross(axis, v[:, 0]) / self.rate, attitude])
 
     def speeds(self, states: Array) -> Array:
-        """Lengths of changes per time, up to turns about the axis of symmetry."""
+        """Return the lengths of the changes per unit of time, after removal of turns about the axis of symmetry."""
         slopes, along = self.slopes(states), self.symmetry(states)
         shares = (slopes * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
         return np.linalg.norm(slopes - shares[:, None] * along, axis=1)
 
     def turned(self, states: Array, chi: float) -> Array:
-        """R(chi) y."""
+        """Return R(chi) y for every state y."""
         return (self.vectors(states) @ turn(chi)[:3, :3].T).reshape(states.shape)
 
     def bound(self, state: Array) -> float:
-        """Bound of the fastest frequency of the motion of a state."""
+        """Return a bound of the fastest frequency of the motion through `state`."""
         return float(self.body.frequency_bound(*self.system.vectors(state[:, None]))[0])
 
     def run(self, states: Array, time: float, bound: float) -> tuple[Array, Array]:
-        """States after a time, of motions with a frequency bound, and the matrices of changes, (states, 6, 6)."""
+        """Return the states after `time`, and the matrices, (states, 6, 6), that map small initial changes to the final changes."""
         count, steps = len(states), _steps(time, bound)
         unit, lanes = time / steps / self.tangents.STEP * self.rate, count * SIZE
         state, constants = np.repeat(states.T, SIZE, axis=1), np.repeat(self.constants, lanes, axis=1)
@@ -147,12 +147,12 @@ class Flow:
         arrays = TangentArrays(np.full(lanes, time / steps), state, constants, changes, weights, sums)
         begin = np.zeros_like(schedule.steps)
         self.tangents.integrate(schedule, arrays, 0, len(begin), begin, begin + 1)
-        changes *= np.exp(sums[Growth.LOG_GROWTH])  # the kernel divides them by their lengths
+        changes *= np.exp(sums[Growth.LOG_GROWTH])  # the kernel has divided the changes by their growth
         changes[:3] /= unit
         return state[:, ::SIZE].T.copy(), changes.reshape(SIZE, count, SIZE).transpose(1, 0, 2)
 
     def nodes(self, states: Array, time: float, bound: float, steps: int = 0) -> Array:
-        """States after every step of a time, (states, steps + 1, N)."""
+        """Return the states at the start and after every step until `time`, (states, steps + 1, N)."""
         count, steps = len(states), steps or _steps(time, bound)
         start = self.ensemble.subset(np.zeros(count, np.int64))
         start = replace(start, state=np.ascontiguousarray(states.T))

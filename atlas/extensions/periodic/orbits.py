@@ -1,10 +1,10 @@
-"""Periodic motions by multiple shooting, and the small oscillations of steady motions from which their families are born.
+"""Periodic motions by multiple shooting, and the small oscillations of steady motions from which families are born.
 
-A motion of period T and turn chi, y(T) = R(chi) y(0), is given by m states, T/m apart. Newton's method solves for these, T and chi:
-each segment ends at the next state, momenta are those of the family, the change of all states is across the flow and across turns
-about an axis of symmetry, and along the family it is given, by arc length or by the energy. By what the integrals repeat these are
-more equations than unknowns; they are compatible. Lengths are the root of the mean square of the changes of states, with those of
-T in periods of the birth, and of chi.
+A motion of period T and turn chi, y(T) = R(chi) y(0), is given by m states a time T/m apart. Newton's method solves for the states,
+T and chi. Each segment must end at the next state, and the momenta must be those of the family. Changes of all states must be
+orthogonal to the flow and to turns about an axis of symmetry; along the family, the arc length or the energy is given. There are
+more equations than unknowns since the integrals make some redundant. The square of the length of a step is the mean square of the
+changes of states, plus the squares of the changes of T (in periods of the birth) and of chi.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from scipy.linalg.lapack import dgels
 from ...systems.base import Array
 from .flow import SIZE, Flow, turn
 
-ROUNDING = 1e-6  # parts of exponents, of the frequency bound, that rounding may cause
-# Steps of Newton's method, the last of them, one that grows no shorter by rounding, and one that is none.
+ROUNDING = 1e-6  # parts of exponents below this fraction of the frequency bound may be rounding errors
+# Newton's method makes at most NEWTON steps and fails at a step above TOO_FAR. It has converged at a step below CONVERGED, or at a
+# step below STALLED that hardly shrinks any more.
 NEWTON, CONVERGED, STALLED, TOO_FAR = 8, 1e-12, 1e-9, 3.0
-# A nearly singular orbit is closed up to the first, and known up to the second; and the ratio of factors that is singular.
+# A nearly singular orbit is accepted if errors are below CLOSED and the step is below ROUNDED. `_solve` needs SINGULAR.
 CLOSED, ROUNDED, SINGULAR = 1e-13, 1e-6, 1e-14
-# Multipliers that take digits from others, and the ratio from which on those follow alone.
+# Multipliers above LARGE take digits from the others. The others are computed alone if they are smaller by the factor SEPARATE.
 LARGE, SEPARATE = 1e6, 1e4
 
 
 class Birth(NamedTuple):
-    """A small oscillation: its frequency, and the complex change of the steady motion, (6,)."""
+    """A small oscillation of a steady motion; `mode` is the complex amplitude of the change, (6,)."""
 
     frequency: float
     mode: Array
@@ -36,33 +37,33 @@ class Birth(NamedTuple):
 
 @dataclass(frozen=True)
 class Orbit:
-    """A periodic motion, and the direction of its family there."""
+    """A periodic motion, and the tangent of the family at the motion."""
 
     states: Array  # (m, N)
     period: float
     chi: float
-    bound: float  # of the fastest frequency
-    tangent: Array  # unit vector, (6 m + 2,)
+    bound: float  # bound of the fastest frequency
+    tangent: Array  # unit vector along the family, (6 m + 2,)
 
 
 class Solution(NamedTuple):
-    """A periodic motion with the direction of its family, from Newton's method."""
+    """A periodic motion that Newton's method has found."""
 
     orbit: Orbit
-    matrices: Array  # of changes over the segments, (m, 6, 6)
-    closing: float  # largest error of the segments
+    matrices: Array  # map changes at the start of a segment to changes at its end, (m, 6, 6)
+    closing: float  # largest difference between the end of a segment and the next state
     iterations: int
-    distance: float  # from the guess
+    distance: float  # distance from the guess
 
 
 def across(rows: Array) -> Array:
-    """Basis of what is across some rows, which may depend on each other, (6, n)."""
+    """Return a basis, (6, n), of the vectors orthogonal to `rows`, which may be linearly dependent."""
     _, size, vectors = np.linalg.svd(np.vstack([np.zeros((1, SIZE)), rows]))
     return vectors[(size > 1e-9 * size.max()).sum() :].T
 
 
 class SteadyMotion:
-    """A steady motion y' = q G y, G the derivative of turns about the axis of symmetry."""
+    """A steady motion y' = q G y, where q is `spin` and G is the derivative of R(chi) at chi = 0."""
 
     def __init__(self, flow: Flow) -> None:
         self.flow, self.state = flow, flow.start
@@ -71,7 +72,7 @@ class SteadyMotion:
         self.residual = float(np.abs(slope - self.spin * self.along).max())
 
     def births(self) -> tuple[list[Birth], int]:
-        """Small oscillations with these momenta, the fastest first, and the number of exponents that are 0."""
+        """Return the small oscillations with the same momenta, the fastest first, and the number of exponents that are 0."""
         flow, bound = self.flow, self.flow.bound(self.state)
         time = 0.5 / bound
         matrix = turn(-self.spin * time) @ flow.run(self.state[None], time, bound)[1][0]
@@ -81,7 +82,7 @@ class SteadyMotion:
         for exponent, vector in zip(exponents, vectors.T, strict=True):
             if exponent.imag > ROUNDING * bound > abs(exponent.real):
                 mode, factor = basis @ vector, np.exp(exponent * time)
-                # The mode also swings about the axis of symmetry.
+                # The mode also has a part along turns about the axis of symmetry, which `basis` lacks.
                 swing = self.along @ (matrix @ mode - factor * mode) / max(self.along @ self.along, 1e-300)
                 mode = mode + self.along * swing / (factor - 1)
                 mode = mode * np.exp(-0.5j * np.angle((mode * mode).sum())) / np.linalg.norm(mode)
@@ -95,16 +96,16 @@ class Family:
 
     def __init__(self, steady: SteadyMotion, birth: Birth) -> None:
         self.flow, self.steady, self.birth = steady.flow, steady, birth
-        self.unit = 2 * np.pi / birth.frequency  # of T
+        self.unit = 2 * np.pi / birth.frequency  # unit of the period
         self.level = [self.flow.value(name, steady.state) for name in self.flow.held]
         self.birth_energy = self.flow.value(self.flow.energy, steady.state)
 
     def scales(self, m: int) -> Array:
-        """Units of the unknowns."""
+        """Return the units of the unknowns of an orbit with `m` states."""
         return np.append(np.full(SIZE * m, np.sqrt(m)), [self.unit, 1.0])
 
     def born(self, m: int) -> Orbit:
-        """The orbit of amplitude 0."""
+        """Return the orbit of amplitude 0 with `m` states."""
         T, q, w, y = self.unit, self.steady.spin, self.birth.frequency, self.steady.state
         times = np.arange(m) * T / m
         states = np.concatenate([self.flow.turned(y[None], q * t) for t in times])
@@ -113,13 +114,13 @@ class Family:
         return Orbit(states, T, q * T, self.flow.bound(y), tangent / np.linalg.norm(tangent))
 
     def moved(self, orbit: Orbit, step: Array) -> Orbit:
-        """The orbit after a change of its unknowns in their units."""
+        """Return the orbit after a change of its unknowns by `step`, in units of `scales`."""
         change = step * self.scales(len(orbit.states))
         states = self.flow.moved(orbit.states, change[:-2].reshape(-1, SIZE))
         return replace(orbit, states=states, period=orbit.period + change[-2], chi=orbit.chi + change[-1])
 
     def equations(self, orbit: Orbit) -> tuple[Array, Array, Array]:
-        """Residuals, those of the segments first; their derivatives by the unknowns in their units; matrices of the segments."""
+        """Return the residuals (segments first), their derivatives by the scaled unknowns, and the matrices of the segments."""
         flow, m, n = self.flow, len(orbit.states), SIZE * len(orbit.states)
         ends, matrices = flow.run(orbit.states, orbit.period / m, orbit.bound)
         ends[-1:], matrices[-1] = flow.turned(ends[-1:], -orbit.chi), turn(-orbit.chi) @ matrices[-1]
@@ -145,13 +146,13 @@ class Family:
         return self.flow.value(self.flow.energy, orbit.states[0])
 
     def energy_row(self, orbit: Orbit) -> Array:
-        """Derivatives of the energy by the unknowns in their units."""
+        """Return the derivatives of the energy by the unknowns in units of `scales`."""
         row = np.zeros_like(orbit.tangent)
         row[:SIZE] = self.flow.gradients([self.flow.energy], orbit.states[0])[0] * np.sqrt(len(orbit.states))
         return row
 
     def corrected(self, guess: Orbit, energy: float | None = None) -> Solution | None:
-        """The periodic motion beside a guess, across its tangent or of an energy; None if lost."""
+        """Return the motion near `guess` with `energy`, or else at right angles to the tangent; None if Newton's method fails."""
         orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
         for iteration in range(NEWTON):
             residual, jacobian, matrices = self.equations(orbit)
@@ -176,7 +177,7 @@ class Family:
         return None
 
     def steady_state(self, orbit: Orbit, place: int) -> Array | None:
-        """The steady motion near a state of a periodic one: it closes after any time."""
+        """Return the steady motion near state `place` of `orbit`, or None. It closes after any time, here after a short one."""
         time = 0.5 / orbit.bound
         chi = orbit.chi * time / orbit.period
         short = replace(orbit, states=orbit.states[place : place + 1], period=time, chi=chi)
@@ -191,7 +192,7 @@ class Family:
         return None
 
     def meshed(self, orbit: Orbit, m: int) -> Orbit:
-        """The same orbit and tangent with another number of states."""
+        """Return the same orbit and tangent with `m` states."""
         flow, old = self.flow, len(orbit.states)
         change = orbit.tangent * self.scales(old)
         changes, states, tangent = change[:-2].reshape(old, SIZE), [], []
@@ -204,11 +205,11 @@ class Family:
         return replace(orbit, states=np.concatenate(states), tangent=new / np.linalg.norm(new))
 
     def multipliers(self, orbit: Orbit, matrices: Array) -> Array:
-        """Multipliers without the trivial ones, in pairs mu, 1/mu with |mu| >= 1."""
+        """Return the multipliers without those that are always 1, in pairs mu, 1/mu with |mu| >= 1."""
         flow, states, names = self.flow, orbit.states, [*self.flow.held, self.flow.energy]
 
         def basis(i: int) -> Array:
-            """Of changes on the level of the integrals, across the flow and turns about an axis of symmetry."""
+            """Return a basis of the changes that keep the integrals, orthogonal to the flow and to turns about the axis."""
             y = states[i : i + 1]
             return across(np.vstack([flow.gradients(names, y[0]), flow.slopes(y), flow.symmetry(y)]))
 
@@ -219,7 +220,7 @@ class Family:
         matrix = first.T @ matrix
         large = float(np.abs(matrix).max(initial=0.0)) > LARGE
         if large:
-            # Products of orthogonal and triangular factors, whose first directions become those of the largest multipliers.
+            # Take QR factors of every segment. After three rounds the first directions are those of the largest multipliers.
             bases = [first, *map(basis, range(1, len(states))), first]
             parts = [b.T @ part @ a for a, part, b in zip(bases, matrices, bases[1:], strict=False)]
             final = np.eye(len(matrix))
@@ -231,7 +232,7 @@ class Family:
             matrix = before.T @ final @ product
         values, result = list(np.linalg.eigvals(matrix).astype(complex)), list[complex]()
         while values:
-            # Small multipliers have the rounding errors of the largest one.
+            # Small multipliers have rounding errors of the size of the largest one, so 1 / mu replaces them.
             mu = values.pop(int(np.argmax(np.abs(values))))
             if large and len(values) == 3 and abs(mu) > SEPARATE * np.abs(values).max():
                 values = sorted(np.linalg.eigvals(matrix[1:, 1:]).astype(complex), key=abs)[1:]
@@ -242,7 +243,7 @@ class Family:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Least squares by orthogonal and triangular factors; infinite where the matrix is singular."""
+    """Return the solutions of least squares by QR factors; they are infinite if `matrix` is singular."""
     factors, solution, _ = dgels(matrix, right)
     diagonal, size = np.abs(np.diag(factors)), matrix.shape[1]
     regular = diagonal.min() > SINGULAR * diagonal.max()

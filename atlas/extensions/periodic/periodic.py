@@ -32,15 +32,15 @@ from .families import BIRTHS, Member, Path
 from .flow import Flow
 from .orbits import Family, SteadyMotion
 
-UNSTEADY = 1e-8  # largest change of a steady motion, in the unit of rates of the motion
-ON_CIRCLE = 1e-6  # distance of a multiplier from the unit circle that rounding may cause
-# Relative distances of frequencies: of the one that is meant, and from a resonance.
+UNSTEADY = 1e-8  # largest |y' - q G y| of a steady motion, in units of its rates
+ON_CIRCLE = 1e-6  # distance from the unit circle to which rounding may move a multiplier
+# Largest relative error of a given frequency, and largest distance of a ratio of frequencies from 1 or 2 at a resonance.
 NEAREST, RESONANT = 1e-3, 1e-8
 MAX_ORBITS = 10_000
 POLE = 1e-6  # sine of theta below which psi, phi and their rates have few digits
 FAMILY, ORBIT, EVENT = ("family",), ("family", "orbit"), ("family", "event")
 MULTIPLIER = (*ORBIT, "multiplier")
-# Keys of motion -> keys of the table [family] of a scene.
+# Keys of the argument `motion`, and the corresponding keys of the table [family] of a scene.
 SECTION = {"family": "name", "solve": "solve", "branch": "branch", "near": "near"}
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str, type[Flag] | None]] = {
     "period": (ORBIT, "s", "period", None),
@@ -93,42 +93,41 @@ def periodic(
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float, array_like or DataArray
-        Parameters, as in `label_points`; omitted ones take their defaults. Arrays give an atlas of families.
+        Parameters, as in `label_points`. Omitted parameters take their defaults, and arrays give an atlas of families.
     motion : mapping, optional
-        Start values of the steady motion, with the keys of the table [family] of a scene where a family solves some of them:
-        ``{"family": "perp_radius", "solve": ["m"], "theta0": 0.9}``. Default: the start of `body`.
+        Start values of the steady motion, and, if a family of steady motions solves some of them, also keys of the table [family]
+        of a scene: ``{"family": "perp_radius", "solve": ["m"], "theta0": 0.9}``. The default is the start in `body`.
     frequency : float, int or str
-        A frequency of the small oscillations about the motion, to 1e-3; an int is its position from 1, the largest, as in
-        frequency_1; "all": every one.
+        Frequency of the small oscillations about the motion, with a relative error of at most 1e-3. An int is the position of the
+        frequency, as in frequency_1, where 1 is the largest frequency. "all" selects every frequency.
     orbits : int
-        Most orbits that are listed of a family, at equal numbers of steps from the birth to the end.
+        Largest number of orbits listed for a family. They are at equal numbers of steps from the birth to the end.
     max_period : float
-        Where a family is left that goes on, in periods of its birth.
+        A family is followed until its period exceeds `max_period` times the period at its birth.
     energy, above : float or sequence of float, optional
-        Values of the energy integral, or its excess over that of the steady motion: every orbit with one of them is listed instead.
+        Energies, or their excess over the energy of the steady motion. All orbits with these energies are listed, and no others.
     events : bool
-        Whether bifurcations and folds are looked for, which takes as long again.
+        Whether to look for bifurcations and folds, which doubles the time.
 
     Returns
     -------
     xarray.Dataset
-        Over the dimensions of arrays, "family" and "orbit": start values for `trajectory` and `label_points`, where theta is largest;
-        period; turn, of a body symmetric about its third axis, after which the motion repeats; energy, theta_min, theta_max;
-        orbit_stable (flags); closing, the error; arc, the length of the family from its birth; over "multiplier" too
-        multiplier_real, multiplier_imag, without the multipliers that are always 1. Over "family": frequency, birth_period,
-        birth_energy, birth_slope (of the period by the energy), the momenta that are held, end (flags), end_period, end_energy,
-        complete (flags); with "event": event_kind (flags), event_period, event_energy, event_arc. The parameters are coordinates.
+        Variables over the dimensions of arrays and "family", with the parameters as coordinates. With "orbit": start values for
+        `trajectory` and `label_points`, where theta is largest; period; turn of a symmetric body about its third axis, after which
+        the motion repeats; energy; theta_min; theta_max; orbit_stable (flags); closing, the error; arc, the length from the birth.
+        With "orbit" and "multiplier": multiplier_real, multiplier_imag, without the multipliers that are always 1. With "event":
+        event_kind (flags), event_period, event_energy, event_arc. Without both: frequency, birth_period, birth_energy, birth_slope
+        (dT/dh for period T and energy h), the constant momenta, end (flags), end_period, end_energy, complete (flags).
 
     Raises
     ------
     BadInput
-        For a start that is no steady motion or has no such frequency, and where no family is born; of several bodies only if none
-        has one.
+        If the start is no steady motion, has no such frequency, or no family is born; for several bodies, only if all fail.
 
     Notes
     -----
-    An orbit is stable where every multiplier is within 1e-6 of the unit circle, momenta held; also where none is left, as of a
-    symmetric top. Near an end at infinite period bifurcations follow each other without end; they are listed to the last orbit.
+    For fixed momenta, an orbit is stable if all listed multipliers are within 1e-6 of the unit circle, or if none is listed, as for
+    a symmetric top. Near an end at infinite period, bifurcations follow without end. They are listed up to the last orbit.
     """
     description = systems.get(system)
     if not isinstance(description, Gyrostat):
@@ -181,7 +180,7 @@ def periodic(
 def _families(
     system: Gyrostat, points: Points, table: Mapping[str, Any], frequency: float | str
 ) -> list[Family]:
-    """The families of one body that are asked for."""
+    """Return the families of one body for the frequencies that `frequency` selects."""
     if table:
         name, solve, choice = parse_family(system, table)
         chosen = families_of(system)[name]
@@ -213,7 +212,7 @@ def _families(
     result, refused = [], ""
     for k in places:
         others = np.delete(found, k) / found[k]
-        # No family is born where another frequency is twice as large, or as large.
+        # Lyapunov's theorem promises no family if another frequency is twice as large or equal.
         ratios = [n for n in (2, 1) if (np.abs(others - n) < RESONANT).any()]
         if ratios:
             refused = f"frequency = {found[k]:.9g}: no family is born, another frequency is {ratios[0]} times as large"
@@ -230,7 +229,7 @@ def _families(
 def _family_values(
     path: Path, Omega: float | None, *, orbits: int, energy: list[float] | None, above: list[float] | None, events: bool
 ) -> dict[str, Any]:  # fmt: skip
-    """Values of a family by name."""
+    """Return the values of a family by the names of the variables."""
     family, flow, members = path.family, path.family.flow, path.members
     momenta = {name: flow.value(name, flow.start) for name in flow.momenta}
     values: dict[str, Any] = {
@@ -263,7 +262,7 @@ def _family_values(
 
 
 def slope_at_birth(family: Family, members: Sequence[Member]) -> float:
-    """dT/dh at amplitude 0, extrapolated from the first orbits."""
+    """Return dT/dh at amplitude 0, extrapolated from the first orbits (T: period, h: energy)."""
     above = np.array([each.energy - family.birth_energy for each in members[:BIRTHS]])
     if len(above) < BIRTHS or not np.abs(above).min() > 0:
         return np.nan
@@ -272,7 +271,7 @@ def slope_at_birth(family: Family, members: Sequence[Member]) -> float:
 
 
 def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
-    """Least and largest theta along an orbit, and the state at the largest, or near it where that is on the vertical."""
+    """Return the least and largest theta of an orbit, and the state at the largest, or near it if the axis is vertical there."""
     orbit, duration, extremes = each.orbit, each.orbit.period / len(each.orbit.states), []
     paths = flow.nodes(orbit.states, duration, orbit.bound)
     step, states = duration / (paths.shape[1] - 1), paths[:, :-1].reshape(-1, len(flow.start))
@@ -281,7 +280,7 @@ def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
         return flow.nodes(state[None], time, 0.0, 1)[0, 1]
 
     def rise(time: float, state: Array) -> float:
-        """Rate of the cosine of theta after a time."""
+        """Return the rate of cos(theta) when `time` has passed after `state`."""
         y = after(time, state)
         u1, u2, _, g1, g2, _ = flow.equations.frame_motion(y, flow.constants[:, 0])
         return float(g1 * u2 - g2 * u1)
@@ -303,7 +302,7 @@ def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
 
 
 def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:
-    """Start values of states by name; psi0 is 0 where it has no meaning."""
+    """Return the start values of `states` by name; psi0 is 0 if the states have gamma alone."""
     if not len(states):
         return {name: states[:, 0] for name in STARTS}
     gamma = states[:, -3:]
@@ -318,7 +317,7 @@ def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:
 def _variable(
     system: Gyrostat, name: str, rows: Sequence[Sequence[Mapping[str, Any]]], dims: tuple[Any, ...], shape: tuple[int, ...]
 ) -> tuple[tuple[Any, ...], Array, dict[str, Any]]:  # fmt: skip
-    """A variable from the values of every body and family, nan (flags: 0, of ends lost) where one has fewer."""
+    """Return the variable `name` from the values in `rows`. Missing values are nan, missing flags 0, or LOST for `end`."""
     of_starts = (ORBIT, "", "", None) if name in STARTS else (FAMILY, "N m s", f"momentum held, {name}", None)
     own, unit, text, flags = _VARIABLES.get(name, of_starts)
     values = [[np.asarray(family[name], float) for family in families] for families in rows]

@@ -25,7 +25,7 @@ from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 
 SIZE = 6  # number of components of a change
-RADIANS = 0.3  # largest step times the frequency bound; it leaves rounding errors in a period
+RADIANS = 0.3  # largest step times the frequency bound; errors of a period are then rounding errors
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -42,7 +42,7 @@ def turn(chi: float) -> Array:
 
 @cache
 def _schedule(lanes: int, steps: int) -> BlockSchedule:
-    """Return blocks of `lanes` lanes that have equal numbers of steps and one node each."""
+    """Return blocks of `lanes` lanes that have `steps` steps and one node each."""
     ones = np.ones(lanes, np.int64)
     return pack_blocks(steps * ones, ones)
 

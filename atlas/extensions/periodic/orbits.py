@@ -152,7 +152,7 @@ class Family:
         return row
 
     def corrected(self, guess: Orbit, energy: float | None = None) -> Solution | None:
-        """Return the motion near `guess` with `energy`, or else at right angles to the tangent; None if Newton's method fails."""
+        """Correct `guess` orthogonally to its tangent, or to a given `energy`, by Newton's method. Return None if this fails."""
         orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
         for iteration in range(NEWTON):
             residual, jacobian, matrices = self.equations(orbit)
@@ -177,7 +177,7 @@ class Family:
         return None
 
     def steady_state(self, orbit: Orbit, place: int) -> Array | None:
-        """Return the steady motion near state `place` of `orbit`, or None. It closes after any time, here after a short one."""
+        """Return the steady motion near state `place` of `orbit`, or None. It is found as one that closes after a short time."""
         time = 0.5 / orbit.bound
         chi = orbit.chi * time / orbit.period
         short = replace(orbit, states=orbit.states[place : place + 1], period=time, chi=chi)
@@ -209,7 +209,7 @@ class Family:
         flow, states, names = self.flow, orbit.states, [*self.flow.held, self.flow.energy]
 
         def basis(i: int) -> Array:
-            """Return a basis of the changes that keep the integrals, orthogonal to the flow and to turns about the axis."""
+            """Return a basis of the changes that keep the integrals and are orthogonal to the flow and to turns about the axis."""
             y = states[i : i + 1]
             return across(np.vstack([flow.gradients(names, y[0]), flow.slopes(y), flow.symmetry(y)]))
 

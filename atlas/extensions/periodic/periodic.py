@@ -32,7 +32,7 @@ from .families import BIRTHS, Member, Path
 from .flow import Flow
 from .orbits import Family, SteadyMotion
 
-UNSTEADY = 1e-8  # largest |y' - q G y| of a steady motion, in units of its rates
+UNSTEADY = 1e-8  # largest `SteadyMotion.residual` of a steady motion, in units of its rates
 ON_CIRCLE = 1e-6  # distance from the unit circle to which rounding may move a multiplier
 # Largest relative error of a given frequency, and largest distance of a ratio of frequencies from 1 or 2 at a resonance.
 NEAREST, RESONANT = 1e-3, 1e-8
@@ -98,7 +98,7 @@ def periodic(
         Start values of the steady motion, and, if a family of steady motions solves some of them, also keys of the table [family]
         of a scene: ``{"family": "perp_radius", "solve": ["m"], "theta0": 0.9}``. The default is the start in `body`.
     frequency : float, int or str
-        Frequency of the small oscillations about the motion, with a relative error of at most 1e-3. An int is the position of the
+        Frequency of the small oscillations about the motion, given to a relative error of 1e-3. An int is the position of the
         frequency, as in frequency_1, where 1 is the largest frequency. "all" selects every frequency.
     orbits : int
         Largest number of orbits listed for a family. They are at equal numbers of steps from the birth to the end.
@@ -212,7 +212,7 @@ def _families(
     result, refused = [], ""
     for k in places:
         others = np.delete(found, k) / found[k]
-        # Lyapunov's theorem promises no family if another frequency is twice as large or equal.
+        # Lyapunov's theorem promises no family if another frequency is equal or twice as large.
         ratios = [n for n in (2, 1) if (np.abs(others - n) < RESONANT).any()]
         if ratios:
             refused = f"frequency = {found[k]:.9g}: no family is born, another frequency is {ratios[0]} times as large"

@@ -101,10 +101,7 @@ def constant(value):
             Wrong(Rule(constant(1), (), drifting="two")),
             "'unresolved' is no flag of this variable; allowed: none, one, two",
         ),
-        (
-            Wrong(Rule(constant(3), (), drifting="two", unresolved="none")),
-            "flags 2 to 3; allowed: 0 to 2",
-        ),
+        (Wrong(Rule(constant(3), (), drifting="two", unresolved="none")), "flags 2 to 3; allowed: 0 to 2"),
         (Wrong(Rule(constant(1), ()), ()), "'drifting' is no flag of this variable; allowed: none"),
     ],
 )

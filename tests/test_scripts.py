@@ -130,12 +130,7 @@ def less_work(script_folders, monkeypatch, tmp_path):
 
 
 @pytest.mark.usual(
-    "bench_any_axis",
-    "bench_long_runs",
-    "bench_methods",
-    "bench_proofs",
-    "fuzz_scenes",
-    "make_docs",
+    "bench_any_axis", "bench_long_runs", "bench_methods", "bench_proofs", "fuzz_scenes", "make_docs"
 )
 @pytest.mark.usefixtures("less_work")
 @pytest.mark.parametrize("name", SCRIPTS)

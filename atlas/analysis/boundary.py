@@ -20,15 +20,7 @@ from ..systems.gyrostat.system import FREQUENCIES
 from ..variables import variables
 from .degrees import in_degrees
 from .exact_curves import family_curves
-from .metadata import (
-    axes_of,
-    common_values,
-    flag_values,
-    is_logarithmic,
-    resolved_scene,
-    scene_of,
-    system_of,
-)
+from .metadata import axes_of, common_values, flag_values, is_logarithmic, resolved_scene, scene_of, system_of
 from .plane import IN_SPACE, Plane, Predictions
 from .select import plane_of
 from .tracer import (

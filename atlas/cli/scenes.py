@@ -164,9 +164,7 @@ def print_status(options: argparse.Namespace) -> None:
 
 
 @command(
-    "join",
-    RUN_FOLDER,
-    *out_options("FILE", lambda: f"atlas to write ({either(suffixes())})", required=True),
+    "join", RUN_FOLDER, *out_options("FILE", lambda: f"atlas to write ({either(suffixes())})", required=True)
 )
 def join_folder(options: argparse.Namespace) -> None:
     """Write a finished run folder as one file."""

@@ -228,7 +228,7 @@ def _kernel(module: ModuleType, source: str) -> Any:
 
 
 def _define(source: str, module: ModuleType, *, functions: bool) -> None:
-    """Execute the functions that the kernel calls if `functions`, else the rest. Decorators of the functions take 0.1 s."""
+    """If `functions`, define the functions that the kernel calls, else the rest. Decorating functions takes 0.1 s."""
     *callees, kernel = _statements(source)
     body = [node for _, node, _ in callees if functions == isinstance(node, ast.FunctionDef)]
     body += [] if functions else [kernel.node]

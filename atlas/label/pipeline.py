@@ -35,11 +35,7 @@ LARGEST_CHANGE = 0.01
 
 
 def evaluate(
-    plan: Plan,
-    tile: Grid,
-    *,
-    halved: Mask | bool = False,
-    threads: Threads = ALL_THREADS,
+    plan: Plan, tile: Grid, *, halved: Mask | bool = False, threads: Threads = ALL_THREADS
 ) -> dict[str, np.ndarray]:
     """Integrate, measure, label and compare points, and return arrays (points,) by the names of variables.
 

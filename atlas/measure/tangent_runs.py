@@ -160,10 +160,7 @@ class Separation:
             return np.asarray(self.sums[tangent.Growth.LOG_GROWTH] / time)
 
     def integrate(
-        self,
-        where: NDArray[np.int64] | None = None,
-        *,
-        threads: blocks.Threads = blocks.ALL_THREADS,
+        self, where: NDArray[np.int64] | None = None, *, threads: blocks.Threads = blocks.ALL_THREADS
     ) -> None:
         """Integrate the points `where`, which have completed the same number of durations, for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
@@ -240,10 +237,7 @@ class TangentRuns:
         return result
 
     def variables(
-        self,
-        columns: Mapping[str, np.ndarray],
-        unstable: Mask,
-        threads: blocks.Threads,
+        self, columns: Mapping[str, np.ndarray], unstable: Mask, threads: blocks.Threads
     ) -> dict[str, np.ndarray]:
         """Return the variables of chaos, which are missing unless the status is ok. Progress advances by `share` of all points."""
         size = self.rate_unit.size

@@ -214,7 +214,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
     name, flags = view.args[:2]
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # drops axes over which the variable was averaged
     select, degrees = options.select or {}, options.degrees
-    in_input = degrees is True  # degrees from a scene concern figures only
+    in_input = degrees is True  # a scene's degrees are not for the input
     plane, dims, panel_dims = plane_of(
         ds, options.x, options.y, select, options.row, options.col, degrees=in_input
     )

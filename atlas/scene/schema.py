@@ -107,7 +107,7 @@ AXIS: Schema = checks.table_schema({**read.SPACED, **read.LISTED, **read.OF_BOTH
     "oneOf": [
         {"required": ["from", "to", "count"], **_without(*read.LISTED)},
         {"required": ["values"], **_without(*read.SPACED)},
-    ],
+    ]
 }
 POINTS: Schema = checks.table_schema(points.KEYS, needed=False) | {
     "description": "a sample, or points of your own, instead of axes",

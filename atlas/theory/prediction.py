@@ -24,15 +24,7 @@ from ..kernel.stepsize import ROUNDING
 from ..systems.base import FAMILY_TOLERANCE
 from .generated import derivatives, frame_motion, frame_motion_change
 from .point import StartLabels, SteadyTest, fmax, larger, length, minus, over, scaled, smaller
-from .steady import (
-    FAR,
-    Existence,
-    departure,
-    exact_motion,
-    motion_about_third,
-    start_on_axis,
-    steady_motion,
-)
+from .steady import FAR, Existence, departure, exact_motion, motion_about_third, start_on_axis, steady_motion
 
 # Rounding explains a dimensionless residual of a steady motion up to this value. It changes larger residuals by less than 1 %.
 ROUNDING_RESIDUAL = 1e-13
@@ -146,7 +138,7 @@ def label_of(test, membership, answer, exact, nudged):
 
 
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
-    """Return the label about any axes, which is `exact` for an exact motion about other axes, and else `own`.
+    """Return the label about any two axes: `exact` if the motion is exact about other axes, else `own`.
 
     `own` and `answer` come from `predict`, and `exact` is the label of the circle of the exact motion. If `near` is
     true, the start may stay on a circle, and drifting is predicted only for exact motions.

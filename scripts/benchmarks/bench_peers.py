@@ -103,10 +103,7 @@ def slow_satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 def atlas_engine(study: Study, method: str, points: dict[str, np.ndarray], statistics: bool) -> Engine:
     """This package with its own step sizes; the engine must be called for the first of these points."""
-    module, ensemble = (
-        kernel(study.system, method, study.undamped),
-        Ensemble.of(study.system, points),
-    )
+    module, ensemble = (kernel(study.system, method, study.undamped), Ensemble.of(study.system, points))
 
     def run(state, constants, duration, tolerance):
         part = ensemble.subset(np.arange(state.shape[1]))

@@ -15,10 +15,7 @@ from atlas.theory.motions import condition_residual
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 THETA, TOP = 2.2, {"A": 1.0, "B": 1.0, "C": 0.4, "Mg": 1.0, "z0": 0.3, "theta0": 2.2}
-AXES = {
-    "m": {"from": 0.5, "to": 9.0, "count": 3},
-    "n": {"from": -3.0, "to": 3.0, "count": 3},
-}
+AXES = {"m": {"from": 0.5, "to": 9.0, "count": 3}, "n": {"from": -3.0, "to": 3.0, "count": 3}}
 TIED = {"w3": AXES["m"], "n": AXES["n"]}
 SCENE = {"schema": 1, "system": "fixed_point", "fixed": TOP, "integration": {"duration": 20.0}}
 
@@ -54,10 +51,7 @@ def test_slow_and_fast_precession_are_one_curve(is_tied):
 
 def test_a_region_of_exact_motions_has_no_curve_of_rounding():
     """Ties put every point of the quickstart that has a motion onto the family."""
-    axes = {
-        "l3": {"from": -2.5, "to": 2.5, "count": 3},
-        "n": {"from": -2.0, "to": 2.0, "count": 3},
-    }
+    axes = {"l3": {"from": -2.5, "to": 2.5, "count": 3}, "n": {"from": -2.0, "to": 2.0, "count": 3}}
     scene = atlas.example("quickstart")
     assert atlas.run(scene | {"axes": axes}, progress=False).atlas.families() == {}
 

@@ -183,10 +183,7 @@ def scene_of(duration="100 orbits", variables=("label", "megno", "regularity"), 
             "schema": 1,
             "system": "satellite",
             "fixed": {"A": 1.0, "B": 1.3, "C": 1.6, "theta0": 0.1},
-            "axes": {
-                "psi0": {"from": 0.1, "to": 1.4, "count": 6},
-                "m": {"from": 0.0, "to": 0.5, "count": 5},
-            },
+            "axes": {"psi0": {"from": 0.1, "to": 1.4, "count": 6}, "m": {"from": 0.0, "to": 0.5, "count": 5}},
             "integration": {"duration": duration} | (integration or {"tolerance": 1e-6}),
             "outputs": {"variables": list(variables)},
         }

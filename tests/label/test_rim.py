@@ -14,10 +14,7 @@ DURATION, RATE = 60.0, 0.05
 def bodies(system, count, seed):
     """Bodies whose third axis librates about the vertical, or turns around it."""
     rng = np.random.default_rng(seed)
-    points = {
-        "theta0": rng.uniform(0.005, 0.03, count),
-        "phi0": rng.uniform(0, 6, count),
-    }
+    points = {"theta0": rng.uniform(0.005, 0.03, count), "phi0": rng.uniform(0, 6, count)}
     points |= {"A": rng.uniform(0.9, 1.0, count), "B": rng.uniform(1.0, 1.2, count)}
     points["theta_dot0"] = rng.normal(scale=0.003, size=count)
     if system == "satellite":

@@ -17,12 +17,7 @@ from atlas.systems import SYSTEMS
 )  # fmt: skip
 def test_status_is_the_first_that_applies(finite, drift, resolved, growth):
     result = pipeline.label_status(
-        np.array([finite]),
-        np.array([drift]),
-        1e-5,
-        np.array([resolved]),
-        np.array([growth]),
-        25.0,
+        np.array([finite]), np.array([drift]), 1e-5, np.array([resolved]), np.array([growth]), 25.0
     )[0]
     order = [
         (not finite, "not_finite"), (drift > 1e-5, "drift_exceeded"),

@@ -276,10 +276,7 @@ def test_rows_and_columns_of_panels(solid):
     places = [ax.get_subplotspec() for ax in panels]
     assert [(p.rowspan.start, p.colspan.start) for p in places] == list(np.ndindex(2, 3))
     assert [bool(ax.get_title()) for ax in panels] == [True] * 3 + [False] * 3
-    assert [[t.get_text() for t in ax.texts] for ax in panels[2::3]] == [
-        ["$k_2$ = 0"],
-        ["$k_2$ = 0.5"],
-    ]
+    assert [[t.get_text() for t in ax.texts] for ax in panels[2::3]] == [["$k_2$ = 0"], ["$k_2$ = 0.5"]]
     for ax, (row, column) in zip(panels, np.ndindex(2, 3), strict=True):
         (mesh,) = [c for c in ax.collections if isinstance(c, QuadMesh)]
         part = solid.theta_dot_rms.isel(k2=row).sortby("n").isel(n=column).transpose("theta0", "sigma")

@@ -220,10 +220,7 @@ DAMAGES = {
     "a tally of another kind": lambda tiles, tile: {tile: forged(tiles[tile], tally=TALLY)},
 }  # fmt: skip
 # In a folder, what is no file at all.
-OBSTACLES = {
-    "a FIFO": os.mkfifo,
-    "endless": lambda path: path.symlink_to("/dev/zero"),
-}
+OBSTACLES = {"a FIFO": os.mkfifo, "endless": lambda path: path.symlink_to("/dev/zero")}
 
 
 def values_of(content: bytes) -> bytes:

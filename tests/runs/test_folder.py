@@ -547,10 +547,7 @@ def test_damaged_final_attributes_are_refused_and_written_anew(scene, tmp_path, 
     file = tmp_path / "run" / "notes.json"
     whole = file.read_text()
     file.write_text(whole.replace("0", "1", 1))
-    for action in (
-        lambda: atlas.open_atlas(run),
-        lambda: RunFolder.open(run).join(tmp_path / "a.nc"),
-    ):
+    for action in (lambda: atlas.open_atlas(run), lambda: RunFolder.open(run).join(tmp_path / "a.nc")):
         with pytest.raises(BadInput, match=r"notes\.json: damaged"):
             action()
     assert not (tmp_path / "a.nc").exists()

@@ -68,8 +68,7 @@ def test_durations_are_read(text, amount, unit):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["", "orbits", "1 day", "-1 turn", "0 turns", "nan", "1e999 turns", "1 2 turns", "5e", True, None],
+    "text", ["", "orbits", "1 day", "-1 turn", "0 turns", "nan", "1e999 turns", "1 2 turns", "5e", True, None]
 )
 def test_durations_that_are_none(text):
     with pytest.raises(BadInput, match=r"^key = "):

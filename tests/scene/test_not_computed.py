@@ -20,10 +20,7 @@ RECTANGLE = {
     "system": "satellite",
     "title": "rectangle",
     "fixed": {"A": 1.0, "k3": 0.5, "theta0": 0.4, "m": 0.3},
-    "axes": {
-        "b": {"from": 0.1, "to": 2.1, "count": 21},
-        "c": {"from": 0.1, "to": 2.1, "count": 11},
-    },
+    "axes": {"b": {"from": 0.1, "to": 2.1, "count": 21}, "c": {"from": 0.1, "to": 2.1, "count": 11}},
     "ties": {"B": "b * A", "C": "c * A"},
     "integration": INTEGRATION,
 }

@@ -26,11 +26,7 @@ from atlas.systems.arithmetic import functions
 from atlas.systems.satellite import SATELLITE, equations
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.families import FAMILIES
-from atlas.systems.satellite.initial import (
-    constants,
-    frequency_bound,
-    initial_state,
-)
+from atlas.systems.satellite.initial import constants, frequency_bound, initial_state
 from atlas.systems.steady import growth_about_vertical
 from atlas.theory.motions import condition_residual
 from atlas.theory.steady import Existence

@@ -8,11 +8,7 @@ from family_starts import points_of_family, rotation_rate, stack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from strategies import (
-    default_points,
-    satellite_for_family,
-    select,
-)
+from strategies import default_points, satellite_for_family, select
 from truth import fundamental_matrix, jacobian_matrices, monodromy_matrix
 
 from atlas.flags import Stability

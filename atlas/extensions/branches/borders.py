@@ -52,10 +52,7 @@ _OWN = Variable.table(
     ),
     Variable("index_below", "int8", "1", "Morse index of the solutions on one side of the border"),
     Variable(
-        "index_above",
-        "int8",
-        "1",
-        "Morse index on the other side, larger by 1 but at limits of stability",
+        "index_above", "int8", "1", "Morse index on the other side, larger by 1 but at limits of stability"
     ),
     Variable(
         "count_change", "int8", "1", "number of solutions to the left of the curve less that to the right"

@@ -106,11 +106,7 @@ def empty_dataset(scene: Scene) -> xr.Dataset:
     ds = dataset.dataset(replace(scene, outputs=()), {})
     starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
     ds = ds.drop_vars(starts - {*scene.axes, *scene.fixed, *scene.ties}, errors="ignore")
-    ds.attrs = {
-        "title": scene.title,
-        "references": scene.system.reference,
-        "atlas_system": scene.system.name,
-    }
+    ds.attrs = {"title": scene.title, "references": scene.system.reference, "atlas_system": scene.system.name}
     return ds
 
 

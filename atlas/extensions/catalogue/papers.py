@@ -45,7 +45,7 @@ def load(package: str) -> tuple[dict[str, Any], dict[str, Entry]]:
 
 
 def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callable[[str], Any]) -> Any:
-    """Return the sum of `value` over the terms of a reading. If this names an equation, the true terms of the equation count."""
+    """Return the sum of `value` over the terms of a reading. The name of an equation stands for its true terms."""
     terms = entry.get(f"terms_{reading}") or entry["terms_true"]
     return sum(map(value, entries[terms]["terms_true"] if isinstance(terms, str) else terms))
 

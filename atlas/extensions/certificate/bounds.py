@@ -89,7 +89,7 @@ def largest_deviation(bounds, tolerances):
 
 
 def label_of(bounds, deviation, tolerances, frame_rate):
-    """Return the label for every duration, or 0 if none follows. The mean of a rate lies in the range of the rate."""
+    """Return the label that `bounds` imply for every duration, or 0. A mean rate lies in the range of the rate."""
     rate = tolerances.rate * (1 - KEPT)
     if not deviation <= rate:
         return Label.NOT_COMPUTED

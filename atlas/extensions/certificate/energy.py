@@ -201,7 +201,7 @@ def difference(body, direction, start, v):
 
 
 def rigid(body, theta, angle, square, n):
-    """Return bounds of a body that stays within `angle` of theta. Its u.I u <= `square` in the frame with the rate n."""
+    """Return bounds of a body that stays within `angle` of theta, with u.I u <= `square` in the frame of rate n."""
     if angle != angle:
         return unknown()
     least, largest = sine_range(theta, angle)

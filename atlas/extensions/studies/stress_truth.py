@@ -25,7 +25,7 @@ from .reference import EXACT_RESIDUAL, largest_sine, reference
 
 # Runs of up to MAX_RADIANS_WHOLE rad at the frequency bound are integrated whole, longer runs only for RADIANS_OF_PART rad.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
-# The statistics that exact motions give, and the accuracy of these statistics (of a rate divided by the frequency bound).
+# The statistics that exact motions give, and their accuracy, for rates as a fraction of the frequency bound.
 EXACT_STATISTICS = (
     "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",

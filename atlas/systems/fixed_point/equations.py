@@ -106,10 +106,7 @@ def clebsch(state, constants):
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
-    return (
-        L1 * L1 + L2 * L2 + L3 * L3,
-        -(NB * C * g1 * g1 + NC * A * g2 * g2 + NA * B * g3 * g3),
-    )
+    return (L1 * L1 + L2 * L2 + L3 * L3, -(NB * C * g1 * g1 + NC * A * g2 * g2 + NA * B * g3 * g3))
 
 
 def kovalevskaya(state, constants):

@@ -202,9 +202,7 @@ TILT_BALANCE = Equation(
     partial(tilt_over_sine, by_rate=True),
 )
 OBLIQUE_BALANCE = Equation(
-    "3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3 + drag3 tan psi0",
-    oblique_balance,
-    torque_scale,
+    "3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3 + drag3 tan psi0", oblique_balance, torque_scale
 )
 NO_TORQUE_ABOUT_NORMAL = Equation(
     "beta.(3 Omega^2 I alpha + h1 mu) = alpha.drag", _normal_torque, torque_scale

@@ -151,10 +151,7 @@ def test_rest_at_a_saddle_is_measured_and_without_damping_nothing_is_proved():
     measured = [SettledBy.MEASURED, SettledBy.MEASURED, SettledBy.NOT]
     assert ds["settled_by"].values.tolist() == measured
     np.testing.assert_array_equal(ds["settling_time"], [np.nan, 0.0, np.nan])
-    assert [", perhaps passing a saddle" in text for text in texts(ds).values()] == [
-        False,
-        True,
-    ]
+    assert [", perhaps passing a saddle" in text for text in texts(ds).values()] == [False, True]
 
 
 @pytest.mark.long

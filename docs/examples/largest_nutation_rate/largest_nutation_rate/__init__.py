@@ -3,8 +3,5 @@
 from atlas.extension import Extension
 
 EXTENSION = Extension(
-    "largest_nutation_rate",
-    __name__,
-    "largest rate of nutation",
-    instruments={"theta_dot_max": "rate:RATE"},
+    "largest_nutation_rate", __name__, "largest rate of nutation", instruments={"theta_dot_max": "rate:RATE"}
 )

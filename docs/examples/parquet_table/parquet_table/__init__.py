@@ -3,8 +3,5 @@
 from atlas.extension import Extension
 
 EXTENSION = Extension(
-    "parquet_table",
-    __name__,
-    "atlases as Parquet tables",
-    formats={".parquet": "format:FORMAT"},
+    "parquet_table", __name__, "atlases as Parquet tables", formats={".parquet": "format:FORMAT"}
 )

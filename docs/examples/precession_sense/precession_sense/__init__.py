@@ -3,8 +3,5 @@
 from atlas.extension import Extension
 
 EXTENSION = Extension(
-    "precession_sense",
-    __name__,
-    "sense of precessions",
-    instruments={"precession_sense": "sense:SENSE"},
+    "precession_sense", __name__, "sense of precessions", instruments={"precession_sense": "sense:SENSE"}
 )

@@ -99,11 +99,7 @@ FAMILIES = numbered(
             name="axial",
             title="rotation about the third axis, which rests on the line of the fields' resultant",
             equations="from the equations of motion",
-            conditions=(
-                STILL,
-                *SYMMETRIC,
-                BALANCE,
-            ),
+            conditions=(STILL, *SYMMETRIC, BALANCE),
             solve=BALANCE.solve("Mg", "x3", "mu3"),
             motion=CLOSED_FORM,
             labels="permanent rotation at m about the resting third axis",

@@ -89,7 +89,7 @@ def zeta_differences(passages, e):
 
 
 def approximate_zero(passages, e, farther):
-    """Write a zero of the parabola that osculates zeta at TIME, the nearer one or the farther one, and the row FARTHER."""
+    """Write the nearer or the farther zero of the parabola that osculates zeta at TIME, and the row FARTHER."""
     x = passages[Passage.TIME, e]
     value, slope, curvature = polynomial(zeta_differences(passages, e), x)
     root = square_root(slope * slope - 4.0 * (curvature * value))

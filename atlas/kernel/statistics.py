@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 # ZERO_1_REAL or ZERO_2_REAL has this value while no zero is stored.
 NO_ZERO = -1e3
-# Largest relative difference of the mean theta' of the samples from (theta_end - theta_start) / duration that rounding explains, and
-# the one that errors of the steps explain if variance / mean square of theta' is below CONSTANT.
+# Largest errors of the samples' mean theta', against (theta_end - theta_start) / duration, over the rms theta': by rounding, and by
+# steps if variance / mean square of theta' is below CONSTANT.
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 

@@ -171,7 +171,7 @@ def candidate(which, start, second, bound):
 
 
 def rate_about(turn, u, first, least):
-    """Return the rate r for which r * turn is nearest to u', 0 within rounding, or nan if u is along the axis."""
+    """Return the rate r for which r * turn is nearest to u', or 0 if |r| <= least, or nan if turn is near 0."""
     if not length(turn) > GATE * length(u):
         return np.nan
     value = dot(first, turn) / dot(turn, turn)

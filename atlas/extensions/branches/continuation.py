@@ -115,7 +115,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
 
 
 def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
-    """Whether the seeds `near` each point have its kind and null vector. Indices from the number of seeds on mean mirror images."""
+    """Whether the seeds `near` each point have its kind and null vector. Indices >= the number of seeds mean mirror images."""
     count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
     vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
     same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
@@ -405,7 +405,7 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
 
 
 def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
-    """Return the curves without short limits of stability, and without vertices of limits close to other vertices; see _SAME_END."""
+    """Return the curves. Short limits of stability and, on long ones, vertices close to others are left out; see _SAME_END."""
     result = []
     for line in lines:
         if line.points.limit[0]:

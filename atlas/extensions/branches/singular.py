@@ -249,7 +249,7 @@ def _with_derivatives(coefficients: Array) -> Array:
 
 
 def _values(coefficients: Array, positions: Array) -> Array:
-    """Return the values of Chebyshev series and of their derivatives, (3, N, k / 3)."""
+    """Return values (3, N, k / 3), at N positions, of the series and derivatives in `coefficients`."""
     a, b, k = coefficients.shape
     u, w = np.moveaxis(chebvander(2 * positions - 1, max(a, b) - 1), 1, 0)
     products = (u[:, :a, None] * w[:, None, :b]).reshape(-1, a * b)

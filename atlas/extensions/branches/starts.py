@@ -18,7 +18,7 @@ from .singular import BorderKind, Degenerate, Potential
 
 # `_LINES` lines along each axis have `_SAMPLES` samples each. Zeros of a component are traced on a grid of `_CONTOUR` points.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
-_ZERO = 1e-20  # replaces a component of c that is 0, so that folds on its zeros are limits of other folds
+_ZERO = 1e-20  # replaces zeros of a component of c, so that folds there are limits of folds beside them
 _ON_SPHERE = 8  # steps of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
 CELLS = 13  # cells of the coarse grid along each axis; odd, because bodies in the middle are often symmetric

@@ -48,8 +48,8 @@ _MIN_STEPS_CLOSED = 32
 def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, Array]:
     """Return stability and growth rate over the period of the rotation, (points,), for vectors of shape (points, 3).
 
-    A motion is stable if all multipliers are simple and on the unit circle. Within numerical errors the stability is unknown, and
-    the growth rate is 0 if multipliers collide. Periods too long to be integrated have the adiabatic growth rate.
+    A motion is stable if all multipliers are simple and on the unit circle. If multipliers collide within numerical errors, the
+    stability is unknown and the growth rate is 0. Periods too long to be integrated have the adiabatic growth rate.
     """
     rotation = _Rotation(body, w, alpha, gamma)
     stable, exponent = rotation.by_multipliers()

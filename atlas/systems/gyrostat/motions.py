@@ -57,7 +57,7 @@ class Start(ABC):
     rotor: Array
     w: Array
     gamma: Array
-    moment: Array  # moment of inertia in the unit of residuals
+    moment: Array  # moment of inertia that divides torques
     field_torque: Array  # largest torque of the fields
     turn: Array | float = 0.0  # rate of the frame about gamma
 

@@ -82,7 +82,7 @@ def slope_kernel(system: System) -> ModuleType:
 
 @cache
 def kernel_hash(*sources: str) -> str:
-    """Return the hash that every atlas records, of the sources of kernels, the compilers and the architecture."""
+    """Return a hash of the sources of kernels, the compilers and the architecture. Every atlas records such a hash."""
     return "-".join(map(_jit().numeric_digest, sources))
 
 

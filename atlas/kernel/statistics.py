@@ -1,6 +1,6 @@
 """Statistics of a run, with the sums in the kernel, the final formulas, and the names in an atlas.
 
-A statistic of every atlas is added in this module alone. It needs a row of the sums (`Row`), a line in `begin` and in
+A new statistic of every atlas is written in this module alone. It needs a row of the sums (`Row`), a line in `begin` and in
 `accumulate`, a formula in `finish`, and an entry in STATISTICS. The registry of variables takes name, unit and meaning from the
 entry. Statistics that only some scenes ask for are instruments (`measure.instrument`). No trajectory is kept.
 """
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 # ZERO_1_REAL or ZERO_2_REAL has this value while no zero is stored.
 NO_ZERO = -1e3
-# Largest errors of the samples' mean theta', against (theta_end - theta_start) / duration, over the rms theta': by rounding, and by
-# steps if variance / mean square of theta' is below CONSTANT.
+# theta' may jump if the mean of its samples and (theta_end - theta_start) / duration differ by more than a factor times the rms theta'.
+# The factor is SAME_MEAN (for rounding), or SAME_MEAN_OF_CONSTANT (for errors of the steps) if variance / mean square < CONSTANT.
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
@@ -39,15 +39,15 @@ class Row(IntEnum):
     SIN2_THETA_MIN_ABOVE, SIN2_THETA_MIN_BELOW, SIN2_THETA_MAX, DRIFT = range(19, 23)
     THETA_DOT_REFERENCE, PSI_DOT_REFERENCE, PHI_DOT_REFERENCE, NORMAL_RATE_REFERENCE = range(23, 27)
     FIRST_THETA, LAST_THETA = range(27, 29)
-    # These are the last two zeros of zeta whose quadrature errors were added.
+    # These are the last two zeros of zeta = g1 + i g2 (see `kernel.poles`) whose quadrature errors were added.
     ZERO_1_REAL, ZERO_1_IMAG, ZERO_2_REAL, ZERO_2_IMAG = range(29, 33)
 
 
 class Node(IntEnum):
     """Rows of a node of a motion, which are the angular velocity u and the vertical g, then the derivatives of u and g.
 
-    u is in rad per time unit. The derivatives are by the kernel's unit of time, in which nodes are `spacing` apart. A derivative
-    times `inverse_unit` is by the time unit.
+    u is in rad per time unit. The derivatives are per unit of the kernel's time, and nodes are `spacing` of these units apart. A
+    derivative times `inverse_unit` is per time unit.
     """
 
     U1, U2, U3, G1, G2, G3 = range(6)

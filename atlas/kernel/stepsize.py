@@ -190,7 +190,7 @@ class StepSizes:
         """
         nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
         fewer = (GOLDEN_SECTION * nodes).astype(np.int64) | 1
-        for _ in range(3):  # add 2 where fewer and nodes have a common factor above 3
+        for _ in range(3):  # add 2 where `fewer` and `nodes` have a common factor above 3
             fewer = np.where(np.gcd(fewer, nodes) > 3, fewer + 2, fewer)
         intervals = np.where(fewer * periods >= MIN_INTERVALS, fewer, 2 * nodes - 1) * periods
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
@@ -231,14 +231,14 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: StepSettings, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Return the number of steps in each of `intervals` equal parts of a run of `steps` steps, unless `settings.step` is given."""
+    """Return the number of steps in each of `intervals` equal parts of a run of `steps` steps. A given `settings.step` replaces `steps`."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))
 
 
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round each count up to a multiple of 16 near 16 times a power of 2^(1/4), so that many points have the same count."""
+    """Round numbers of steps up to multiples of 16 near 16 times powers of 2^(1/4), so that many points share a number."""
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)
     rounded = np.ceil(2.0 ** (exponent / 4) - 1e-9) * MAX_STEPS_PER_SAMPLE
     return rounded.astype(np.int64)

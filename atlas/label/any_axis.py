@@ -81,8 +81,8 @@ def near_circle(
     """Return whether the angular velocity may stay on a circle in the body, as along a steady motion about any axes.
 
     No linear theory covers steady motions about any axes. Let v be the derivative of the angular velocity. On a circle v.v' = 0 and
-    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE tolerances within one radian at the
-    frequency bound. These are the change of the angular velocity and the departure from the circle that the first derivatives give.
+    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE tolerances within the time 1 / (frequency
+    bound). One is the change of the angular velocity, the other the departure from the circle that the first derivatives give.
     """
     bound, place = system.frequency_bound(points), system.equations.STATE.index
     state, constants = system.initial_state(points), system.constants(points)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The error of one point in POINTS_PER_HALF_STEP is measured if check_half_step = "sample".
 POINTS_PER_HALF_STEP = 64
-# Statistics from two step sizes may differ by this fraction. An error that is common to both may be ten times as large.
+# Largest relative change of a statistic with the step size. The error may be ten times the change, as both runs may err alike.
 LARGEST_CHANGE = 0.01
 
 
@@ -209,7 +209,7 @@ def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _
         step_sizes = step_sizes.after(transient, duration).in_periods(periods, method)
         if np.any(halved):
             step_sizes = step_sizes.halved(method, halved)
-        starts = replace(tile, points=points)  # not kept, so that the shared values are freed after use
+        starts = replace(tile, points=points)  # local, so that the shared values are freed at the end
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = growth = None
         if plan.has_tangent:

@@ -70,7 +70,7 @@ class Plan:
 
     @property
     def names(self) -> Collection[str]:
-        """Names of the wanted variables, or () for the default variables. No default variable is optional."""
+        """Names of the wanted variables. () stands for the default variables, of which none is optional."""
         return self.outputs or ()
 
     @cached_property

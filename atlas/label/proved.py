@@ -28,7 +28,7 @@ def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]
 def by_proof(
     plan: Plan, tile: Grid, progress: Callable[[float], None]
 ) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """Return whether the labels of each point are proved, and the variables of the proved points. `progress` gets their number."""
+    """Return whether the labels of each point are proved, and the variables of the proved points. `progress` counts proved points."""
     proved, columns = proved_points(plan, tile)
     if not proved.any():
         return proved, {}

@@ -42,7 +42,7 @@ from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
-# A motion leaves an unstable motion because of its start, not of errors, if halving the step changes theta' by less than this fraction.
+# If halving the step changes the rms of theta' by more than this fraction, errors decide how a motion leaves an unstable motion.
 HALF_STEP_RTOL = 0.05
 # An exact motion about other axes is sampled at _SAMPLES times. The error is _SAMPLING_ERROR times the spread of the samples.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
@@ -122,7 +122,7 @@ def _tests_and_families(
 ) -> tuple[TwoAxes | None, SteadyTest, Flags, Array]:
     """Return steady motions, tests of the starts, families of the starts, and residuals of the families' conditions.
 
-    The motions and the tests come from the equations. If the theorem does not cover a system, families decide instead. The motions
+    The motions and the tests come from the equations. Families decide instead if `polynomial_degree` refuses the system. The motions
     are then None, a start on a family is exact, and other starts have no label.
     """
     size = duration.size

@@ -32,8 +32,8 @@ MAX_SAMPLES = 10**7
 # are fewer than NODES instants, further nodes are added, which are at least STEPS_PER_NODE steps apart.
 NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
 # Let d be the sum of the distances between the vertical and the third axis at the two ends of a step. psi and phi are continued over
-# the step if the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body by less than d / MARGIN. A longer step
-# is halved, unless d < AT_VERTICAL, where d is a rounding error.
+# the step if the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body by less than d / MARGIN. Any other
+# step is halved, unless d < AT_VERTICAL, where d is a rounding error.
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
 # Components of the first axis of the frame along the body axes.
@@ -324,7 +324,7 @@ class _Motion:
     step_size: float
 
     def axis_and_vertical(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        """Return sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and the speeds of the vertical and of the rotation."""
+        """Return sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and [speed of the vertical in the body, angular speed]."""
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(state, self.constants)
         x, y = self.equations.axis_in_frame(state, self.constants)
         speed = np.hypot(g2 * u3 - g3 * u2, g3 * u1 - g1 * u3)
@@ -366,7 +366,7 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi to `turns`, and return both end states and the indices of motions whose step is too long."""
+        """Add the changes of psi and phi in short steps to `turns`. Return the end states and the motion of each step that is too long."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)

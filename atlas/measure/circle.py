@@ -48,7 +48,7 @@ class Axis(IntEnum):
 
 
 class Sum(IntEnum):
-    """Trapezoidal sums over the nodes of the differences of u (X, Y, Z), u^2 (L) and u'^2 (S) from the start, and of products."""
+    """Trapezoidal sums of the changes of u (X, Y, Z), u^2 (L) and u'^2 (S) from the start to each node, and of products of two changes."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 

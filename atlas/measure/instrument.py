@@ -119,7 +119,7 @@ class Rule:
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """Replace measurements that rounding may explain by the values at rest. Return the same object if nothing is replaced."""
+        """Return `measured`, or a copy in which measurements that may be mere rounding have the values at rest."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
@@ -146,7 +146,7 @@ class Rule:
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
-    """Whether the label changes if the errors of all measurements make the motion larger, or if all make the motion smaller."""
+    """Whether the label changes if all measurements grow in magnitude by their errors, or if all shrink. theta_min changes conversely."""
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
@@ -249,7 +249,7 @@ class Run:
         return np.logical_or.reduce(np.broadcast_arrays(*differences, np.zeros(self.ensemble.size, bool)))
 
     def errors(self) -> tuple[dict[str, Array], Array]:
-        """Return the expected errors of measurements that decide labels, and the relative error of states and values."""
+        """Return the expected errors of measurements that decide labels, and the largest `relative_error` of the instruments."""
         errors: dict[str, Array] = {}
         relative = np.zeros(self.ensemble.size)
         for instrument in self.instruments:
@@ -320,7 +320,7 @@ class Instrument:
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return expected errors of the rules' statistics. `relative` is the largest `relative_error` up to this instrument."""
+        """Return expected errors of the rules' statistics. `relative` is the largest `relative_error` of this or an earlier instrument."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
@@ -332,7 +332,7 @@ class Instrument:
         return np.zeros(run.ensemble.size)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Return the largest relative difference of a rate or deciding measurement between two runs of the same points."""
+        """Return the largest relative change of a rate, or of a measurement that decides a label, between two runs of the same points."""
         return np.zeros(run.ensemble.size)
 
     def outcome_differs(self, run: Run, other: Run) -> Mask | bool:
@@ -340,7 +340,7 @@ class Instrument:
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Return the relative error of values, (points,), from the run `coarse`. `expected` is the error expected of `run` alone."""
+        """Compare two runs, and return the relative error of values of `run`, (points,). `expected` is the error expected of `run` alone."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -405,7 +405,7 @@ class MainInstrument(Instrument):
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Return the differences of the rules' statistics between two runs, which an instrument may also estimate from `relative`."""
+        """Return how much the rules' statistics differ between two runs. An instrument may estimate the differences from `relative`."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

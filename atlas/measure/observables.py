@@ -133,7 +133,7 @@ class Observables(MainInstrument):
                 first = observe.FIRST_ROW + len(observe.Field) * k
                 start, total, square, trend, least, largest, _ = sums[first : first + len(observe.Field)]
                 count, per_trend = intervals, np.asarray(12.0)
-                if is_strobed(observable):  # count / per_trend is the sum of (time from middle / duration)^2
+                if is_strobed(observable):  # count / per_trend is the sum of ((time - middle) / duration)^2
                     count, per_trend = periods + 1, 12.0 * periods / (periods + 2)
                 shift = total / count
                 variance = np.maximum(square / count - shift * shift, 0.0)
@@ -148,7 +148,7 @@ class Observables(MainInstrument):
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
     def relative_error(self, run: Run) -> Array:
-        """Return the relative error of states, which is also the error of statistics over the largest magnitude of the observable."""
+        """Return the relative error of states. A statistic has this error relative to the largest magnitude of the observable."""
         step_sizes = run.step_sizes
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -158,7 +158,7 @@ class Observables(MainInstrument):
         return error
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return errors of the standard deviations, the relative error times the range of the observable plus rounding."""
+        """Return the error of each standard deviation: the relative error times the range of the observable, plus a rounding error."""
         measured = run.measured
         return {
             f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"])

@@ -169,7 +169,7 @@ class Rates(MainInstrument):
         return sizes | dict.fromkeys(names, of_angles)
 
     def relative_error(self, run: Run) -> Array:
-        """Return the relative error of an oscillation at the frequency bound, which an instability amplifies to at most 1."""
+        """Return the relative error of an oscillation at the frequency bound. An instability amplifies the error to at most 1."""
         step_sizes, log_growth = run.step_sizes, run.log_growth
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -315,7 +315,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
         sine = np.maximum(np.where(leaves, LEAVING_SINE, least), cylinder)
         spread = np.fmax(measured["psi_dot_std"], measured["phi_dot_std"]) / bound
         rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / sine))
-        # psi' has this peak if the axis leaves the cylinder at the frequency bound.
+        # This is the rms of psi' / bound if the axis once passes the vertical at the distance `cylinder` with the speed `bound`.
         peak = np.sqrt(0.5 * np.pi / (cylinder * bound * integration.duration))
         undefined = np.fmax.reduce([np.ones_like(rates), spread, peak])
         turn = run.step_sizes.sample_spacing * bound**2 / np.hypot(u1, u2)
@@ -340,7 +340,7 @@ def rounding_error(step_sizes: StepSizes) -> Array:
 
 
 def tolerated_error(settings: StepSettings, step_sizes: StepSizes, bound: Array) -> Array:
-    """Return the expected relative error of the states, but without a given step at least the tolerance of `settings`."""
+    """Return the expected relative error of the states. The error is at least `settings.tolerance` unless a step is given."""
     expected = relative_error(step_sizes, bound) + rounding_error(step_sizes)
     return expected if settings.step is not None else np.fmax(expected, settings.tolerance)
 

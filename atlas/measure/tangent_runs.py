@@ -40,9 +40,9 @@ RELATIVE_COST = 1.5
 # by d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix and cause
 # the growth. Falls of 14 to 22 were then measured, and of at most 7 along chaotic motions.
 MAX_DRAWDOWN = 10.0
-# Largest growth of L in one passage of an unstable motion, ln(1/d^2) where rounding keeps d^2 above 1e-16. 39 was measured.
+# Bound of the growth of L in one passage of an unstable motion. Rounding keeps d^2 above 1e-16, so ln(1/d^2) < 37. 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
-# Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR) and grows as lambda T / 2 in chaos (above MIN_CHAOTIC).
+# Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR). In chaos it grows as half of L (above MIN_CHAOTIC).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
 # A chaotic run goes on until L falls by MAX_DRAWDOWN or reaches MAX_PASSAGE_GROWTH, but for at most this number of durations.
 MAX_DURATIONS = 16
@@ -98,7 +98,7 @@ class TangentSteps:
 
 
 class TangentArrays(NamedTuple):
-    """Data of points that the tangent kernel reads and writes, as `blocks.Arrays` for other kernels."""
+    """Data of points that the tangent kernel reads and writes. Other kernels have `blocks.Arrays`."""
 
     step_size: Array
     state: Array

@@ -94,7 +94,7 @@ def draw_dots(
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
-    """Set the scale and the ticks of an axis, "x" or "y". An `inner` axis leaves room for tick labels of neighbours at its ends."""
+    """Set the scale and the ticks of an axis, "x" or "y". At its ends, an `inner` axis leaves room for tick labels of neighbours."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     if log:
         ax.set(**{f"{which}scale": "log"})

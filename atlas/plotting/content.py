@@ -36,7 +36,7 @@ MIN_VISIBLE = 1e-3
 # Hatching that is narrower than this fraction of the frame's side, and lines that are closer to the frame, are not visible.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# Lines have a halo up to a `crowding` of CROWDED. In sides of a cell, samples are SAMPLING apart, and a way back is longer than RETURN.
+# Lines with a `crowding` above CROWDED have no halo. SAMPLING is the distance of samples, RETURN the least way back, in sides of a cell.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Theory draws the borders of labels on maps of these flag variables.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
@@ -86,7 +86,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
 
 
 def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
-    """Return the fraction of the crossed cells that lines cross twice. In such a cell a tongue is narrower than the cell."""
+    """Return which fraction of the cells that lines cross is crossed twice. A tongue is narrower than such a cell."""
     if len(edges) == 1:
         return 0.0
     samples, start = [], 0.0
@@ -140,7 +140,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # not the scene's axes, or averages
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes, or an axis was averaged
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
@@ -188,7 +188,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     if "computed" in ds:
         missing &= ds["computed"].values == 1  # other cells show the nearest point
     reasons = np.full(array.shape, "", object)
-    run = next((each for each in ("label", "status") if each in ds), None)  # 0 if no motion was computed
+    run = next((each for each in ("label", "status") if each in ds), None)  # 0 where no motion was computed
     not_computed = missing & (ds[run].values == Label.NOT_COMPUTED if run else bool(flags))
     reasons[missing] = NO_THEORY if is_theory(system_of(ds), name) else NO_VALUE
     reasons[not_computed] = NO_MOTION

@@ -214,7 +214,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
     name, flags = view.args[:2]
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # drops axes over which the variable was averaged
     select, degrees = options.select or {}, options.degrees
-    in_input = degrees is True  # a scene's degrees are not for the input
+    in_input = degrees is True  # whether the caller gives degrees; a scene's degrees concern output alone
     plane, dims, panel_dims = plane_of(
         ds, options.x, options.y, select, options.row, options.col, degrees=in_input
     )
@@ -286,7 +286,7 @@ def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> lis
     missing = np.zeros(array.shape, bool) if flags else ~np.isfinite(array.values)
     panel = Panel(array, {NO_VALUE: missing} if missing.any() else {}, np.zeros(array.shape, bool))
     for column in places:
-        # An axis is logarithmic if this spreads positive values more evenly.
+        # An axis is logarithmic if a logarithmic scale spreads positive values more evenly.
         spread = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
         log.append(spread and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1))
     labels = [text_of(options, axis, axis_label(ds, axis)) for axis in axes]
@@ -309,7 +309,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     """Return the axes of a scatter map, x first, by default the two coordinates with the most values. Fewer raise BadInput."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
     check_axes(allowed, "a number given at each of these points", x=x, y=y)
-    varied_by_scene: set[str] = set()  # parameters with a range or a column, which are not computed
+    varied_by_scene: set[str] = set()  # parameters with a range or a column, not a formula
     if (scene := scene_of(ds)) is not None:
         points = scene.points or {}
         varied_by_scene = {*axes_of(scene), *points.get("ranges", {}), *points.get("values", {})}
@@ -401,7 +401,7 @@ def check_options(views: list[View], options: MapOptions) -> None:
 
 
 TEXT_ROW = 2.8  # height of a line of text, mm
-LEGEND_SHARE = 0.97  # largest width of a legend, as a fraction; low resolutions draw letters wider than print
+LEGEND_SHARE = 0.97  # largest width of a legend / figure; low resolutions draw letters wider than print
 
 
 @dataclass(frozen=True)
@@ -558,7 +558,7 @@ _NOWHERE = np.full((1, 2), np.nan)
 
 
 def _sample(region: str, colour: str = "") -> Patch:
-    """Return a sample of a region for the legend, in `colour` or else in the background of the hatching, with the hatching."""
+    """Return a legend sample of a region with its hatching, on `colour` or else on the hatching's background."""
     hatch = cells.HATCHES.get(region, cells.PLAIN)
     background = colour or hatch.background
     return Polygon(_NOWHERE, facecolor=background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)

@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Return the label of a variable, with words or a symbol, the word theory if `theory` is true, the unit and selected names."""
+    """Return the label of a variable, with words or a symbol, the word theory if `theory`, the unit, and names chosen on other axes."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = WORDS.get(name, name.replace("_", " "))

@@ -69,7 +69,7 @@ def held(place: Place, name: str) -> Iterator[None]:
 
 
 def claimants(place: Place) -> Iterator[tuple[str, str]]:
-    """Yield the name and the `claimant` of each claim in a place, including folders."""
+    """Yield the name and the `claimant` of each claim in a place and its folders."""
     for name in place.walk():
         if name.endswith(SUFFIX):
             yield name, claimant(place, name)

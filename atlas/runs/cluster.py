@@ -23,7 +23,7 @@ CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
 NO_WORKER_WARNING = 60.0  # a warning is logged after this number of seconds without a worker
 TASKS_PER_THREAD = 2  # submitted tasks for each thread, enough that no thread waits for a task
-# Workers of `connect` keep this number of freed bytes. With dask's default, 65536, every large temporary array is mapped anew.
+# Workers of `connect` keep freed memory for reuse. With dask's default, 65536 bytes, every large temporary array is mapped anew.
 ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": 2**28, "MALLOC_MMAP_THRESHOLD_": 2**25}
 MAX_ATTEMPTS = 3  # number of times that a task is submitted if dask gives up because workers died
 SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"

@@ -31,7 +31,7 @@ def read(folder: Path | None = None) -> Files:
 
 # The package imports this module before all others, so that no loaded module is older than this record.
 AT_IMPORT = read()
-# Files of each folder of an extension or room, as read at the first call of `of_folder`.
+# Files of each folder that `of_folder` was called with, as they were at the first call.
 OF_FOLDERS: dict[Path, Files] = {}
 
 
@@ -43,7 +43,7 @@ def of_folder(folder: Path) -> Files:
 
 
 def changed(folders: Iterable[Path] = ()) -> list[Path]:
-    """Return files of this package and of extensions that have changed since the import, so that loaded modules may not match."""
+    """Return the files of this package and of `folders` that have changed since they were first read. Loaded modules may differ."""
     states = [(PACKAGE, AT_IMPORT, read()), *((each, of_folder(each), read(each)) for each in folders)]
     return sorted(
         folder / name

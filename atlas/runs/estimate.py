@@ -31,10 +31,10 @@ from .refine import expected_points
 
 # Number of steps, summed over points, that each thread computes in the measurement. They take about half a second.
 CALIBRATION_STEPS = 1e8
-# The saving by early ends of runs is measured with about LABEL_STEPS steps (at most 0.2 s) of at least LEAST_POINTS points.
+# The time that early ends of runs save is measured on at least LEAST_POINTS points, in about LABEL_STEPS steps (at most 0.2 s).
 LABEL_STEPS, LEAST_POINTS = 2e7, 16
 HEADER_BYTES = 1000  # size of the header of a tile
-# Size of a run folder without tiles, and of a variable without values, which has attributes and tables of the file format.
+# Size of a run folder without tiles, and size of the attributes and format tables of a variable in a file, without the values.
 FOLDER_BYTES, VARIABLE_BYTES = 6000, 2300
 START_MINUTES = 5  # time of imports and compilation at the start of a job
 
@@ -63,12 +63,12 @@ class _Cost:
 
 
 def _cost(plan: ScenePlan, processors: int) -> _Cost:
-    """Return the expected cost of a scene on a number of processors, which is measured on one tile."""
+    """Measure one tile on a number of processors, and return the expected cost of the scene."""
     scene, exists = plan.scene, plan.sample.exists
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
     tile = _measure(plan, processors)
-    # The time of derived variables is the mean over so many points that the measurement takes a few tenths of a second.
+    # The time of derived variables is a mean over points. More points are taken until the measurement takes 0.2 s.
     has_derived = not derived_variables(scene.system).keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
     while has_derived and derived_seconds < 0.2 and count < existing_points.size:
@@ -110,7 +110,7 @@ def dry_run(
     workers: int | None = None,
     jobs: tuple[int, int] | None = None,
 ) -> str:
-    """Return a text about the expected cost of a scene, and of each job if `jobs` has a number of jobs and processors of a job."""
+    """Return a text about the expected cost of a scene. If `jobs` is (jobs, processors of a job), add the cost of a job."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -157,7 +157,7 @@ def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """Return time and memory of the largest job, from the cost on `measured` processors, and SLURM lines with twice as much."""
+    """Return time and memory of the largest job, and SLURM lines for twice both. `expected` is for `measured` processors."""
     tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)
@@ -208,8 +208,8 @@ def check_memory(scene: Scene) -> None:
 
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
-    """Return the compressed bytes of a number of integrated points on the disk."""
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # not in the measured size
+    """Return the bytes that a number of points with values take on the disk after compression."""
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # `derived` is not measured
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 
@@ -217,7 +217,7 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
 def _folder_bytes(
     plan: ScenePlan, cost: _Measurement, integrated: float, points: int, *, is_joined: bool
 ) -> float:
-    """Return the bytes of the tiles of a number of points on the disk. Tiles that will be joined are not compressed."""
+    """Return the bytes of tiles on the disk. Of the `points`, `integrated` have values. Tiles to be joined are not compressed."""
     stored = points * bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
     return stored + HEADER_BYTES * math.ceil(points / math.prod(plan.tiling.tile))
 

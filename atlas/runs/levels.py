@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from ..store.place import Place
 
 POINTS = "points.tile"
-# Measured flags of the core whose boundaries are traced. All but the label are traced only if the scene asks for them.
+# Flags whose boundaries are traced, without those of extensions. All but the label are traced only if they are outputs.
 MEASURED = (*LABELS, "geometry", "status", "regularity")
-MAX_VALUES = 32  # largest number of values of an integer variable without flags
+MAX_VALUES = 32  # largest number of different values of an integer variable without flags
 TILES_PER_LEVEL = 64  # number of tiles of a level with enough points, so that many processes share the work
 # Ascending flat indices of points in the finest grid, and the variables at the points.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
@@ -72,7 +72,7 @@ class Level:
 
     @classmethod
     def of(cls, run: Run, number: int, before: str, points: np.ndarray, most: int) -> Level:
-        """Return a level in tiles of at most `most` points. A missing list of points is written."""
+        """Return a level in tiles of at most max(most, MIN_POINTS_PER_TILE) points. Write the points unless the run has them."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
         most = min(most, grid.max_points_per_tile())
         level = cls(run, number, before, points, *Tiling.of(points.shape, most).tile)

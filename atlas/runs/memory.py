@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MANY_POINTS = 10**6  # An atlas of this many points may not fit into memory.
-# Seconds for a point and for a step on a slow processor. If they predict more than LONG seconds, the time of a run is measured.
+# Seconds for a point and for a step on a slow processor. If a run might thus take more than LONG seconds, one tile is measured.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes the number of points finished since the last call
@@ -182,7 +182,7 @@ def evaluate_at(
     earlier: Sequence[Earlier] = (),
     threads: Threads = ALL_THREADS,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Return variables and parameters at flat indices, the number of points with a motion, and reused points by atlas."""
+    """Return variables and parameters at flat indices, the number of points with a motion, and numbers of reused points by atlas."""
     points = grid.points_at_indices(scene, indices)
     reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
     remaining = np.arange(indices.size)

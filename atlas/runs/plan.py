@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from ..store.tiling import Tiling
 
 
-# A warning is given for shorter runs, which miss much of the chaos. The first number counts revolutions of the frame, the second
-# periods of the frequency bound for a frame that does not turn.
+# A warning is given if a run is shorter than MIN_ORBITS revolutions of the frame, because it would miss much of the chaos. If the
+# frame does not turn, the limit is MIN_PERIODS periods of the frequency bound.
 MIN_ORBITS, MIN_PERIODS = 80, 400
 MAX_PREDICTED = 400  # largest number of sample points whose motion theory predicts before a run
 LONG = 2 * 3600.0  # A run that is expected to take more seconds than this announces the expected time.
@@ -101,7 +101,7 @@ class ScenePlan:
 
     @cached_property
     def growth_work(self) -> float:
-        """Mean work for the growth of errors at a point, in steps of the method of the scene, as if every run settled."""
+        """Mean work for the growth of errors, in steps of the method of the scene, as if the growth were needed at every point."""
         from ..measure.rates import tolerated_error
 
         if not self.runs.needs_growth:

@@ -13,7 +13,7 @@ SAMPLE, MATRICES = 1001, 99  # Both numbers are odd, so that the last vector reg
 
 @lru_cache(maxsize=1)
 def library_bits() -> str:
-    """Return a hash of results of NumPy, LAPACK and libm on fixed numbers. Processors with other bits give another hash."""
+    """Return a hash of results of NumPy, LAPACK and libm on fixed numbers. Processors that compute other bits give another hash."""
     x = np.arange(1, SAMPLE + 1) / SAMPLE
     reverse = x[::-1]
     matrices = (np.arange(MATRICES * 36) * 7919 % 1009 / 1009 - 0.5).reshape(-1, 6, 6)

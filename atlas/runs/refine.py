@@ -31,7 +31,7 @@ from .plan import ScenePlan
 # A function that integrates the points with given flat indices in the finest grid, and yields the variables part by part.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
-# Number of points integrated on either side of a boundary at each level. Two points reach one cell beyond the crossed cell.
+# Number of points integrated on either side of a boundary at each level. Two points cover the crossed cell and one cell beyond.
 BOUNDARY_WIDTH = 2
 # Unstable points are not integrated if at most this many of them are expected not to drift in a run.
 EXPECTED_MISSES = 0.05
@@ -86,7 +86,7 @@ class FineGrid:
             self._predict(chunk)
 
     def _predict(self, chunk: slice) -> None:
-        """Predict the motions at a slice of flat indices. Points without a motion count as computed, with a status alone."""
+        """Predict the motions at a slice of flat indices. Points without a motion count as computed; only their status is set."""
         points = grid.points_at_indices(self.scene, np.arange(chunk.start, chunk.stop))
         self.n_existing += int(points.exists.sum())
         self.computed.reshape(-1)[chunk] = ~points.exists
@@ -97,7 +97,7 @@ class FineGrid:
             self.numbers[name].reshape(-1)[chunk] = points.base[name]
         existing = chunk.start + np.flatnonzero(points.exists)
         if existing.size:
-            # Outputs are left out, because labels about other axes would bring in the growth of motions about those axes.
+            # Without outputs, `log_growth` is 0 for motions about other axes than the label has, because these motions drift.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, (part := points.subset(points.exists)))
             for name in self.numbers.keys() & {"growth_rate"}:
@@ -146,7 +146,7 @@ class FineGrid:
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random fraction of the other points and count wrong copied flags. Return numbers of points and errors."""
+        """Integrate a random fraction of the points with copied flags. Return the numbers of points and of wrong flags."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
@@ -270,7 +270,7 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
 
 
 def _encode(flags: Sequence[Flags], counts: Sequence[int]) -> np.ndarray:
-    """Encode the flags of each point in one number. `counts` are the numbers of values of the flags."""
+    """Encode the flags of each point in one number. counts[i] is the number of values that flags[i] may have."""
     return np.ravel_multi_index(tuple(flags), tuple(counts), mode="clip")
 
 

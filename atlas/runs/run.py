@@ -216,7 +216,7 @@ class RunFolder:
         return {c["process"]: c["host"] for _, c, state in self.processes() if state == progress.AT_WORK}
 
     def levels(self) -> Iterator[Level]:
-        """Yield the levels before the first missing or damaged level. A damaged level is logged, and written again by a run."""
+        """Yield the levels before the first missing level. A damaged level is logged and left out. A run writes it again."""
         from .levels import Level  # only refined runs need this module
 
         for number in count():
@@ -336,7 +336,7 @@ class RunFolder:
             # The notes of a refined atlas contain the cost of the levels, which the tiles do not contain.
             return notes | self.attributes(totals if self.scene.refine is None else saved or totals)
 
-        # Chunks are as large as the tiles of a cheap scene, because a file with many small chunks is slow.
+        # Chunks have up to `max_points_per_tile` points, even if tiles are smaller, because a file with many small chunks is slow.
         lengths = Tiling.of(self.scene.shape, grid.max_points_per_tile()).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
         blocks = self._blocks(lengths, totals)

@@ -218,7 +218,7 @@ def check_range(parameter: Parameter, key: str, low: float, high: float) -> None
         )
 
 
-# Accepted classes, and words for messages, of each type with which public functions are annotated.
+# For each type in annotations of public functions, the classes that are accepted, and the words for the type in messages.
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "None": ((type(None),), "None"),
     "str": ((str,), "a text"),

@@ -120,7 +120,7 @@ def _with_values(
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if all points are on the family, whatever the value of a parameter, unless the rates of the family vary."""
+    """Raise BadInput if all `points`, with trial values of a parameter, are on the family. Families of varying rates are skipped."""
     if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(free_message(family, name, " here"))
 

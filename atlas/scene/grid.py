@@ -41,7 +41,7 @@ from .model import Duration, Scene, Settings
 MAX_POINTS_PER_TILE = 65536
 # At most these numbers of bodies and starts are checked before a run. All others are checked when their tiles are computed.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
-# On a grid of at most this many points, each `Reason` is counted before a run, which takes about 0.1 s.
+# On a grid of at most this many points, the points with each `Reason` are counted before a run. This takes about 0.1 s.
 MAX_COUNTED = 2**19
 # For an error message, the formulas of a family are tried at no more than this many points.
 MAX_CHECKED_FORMULAS = 100
@@ -82,7 +82,7 @@ class Grid:
     duration: Array  # in time units, nan where the duration has no value
     rate_tolerance: Array  # in rad per time unit, nan where the rate tolerance has no value
     step: Array | None = None  # step sizes in time units, which replace `settings.step`
-    transient: Array | float = 0.0  # in time units before the run, an array or a number for all points
+    transient: Array | float = 0.0  # before the run, in time units, an array or one number for all points
 
     @property
     def until(self) -> Array:
@@ -113,7 +113,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Return the values of every parameter, axis and tie before the family is solved. A tie may be inf or nan."""
     parameters = scene.system.parameters
     constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
-    # Constants are views of a number. Ties get copies, because NumPy rounds powers with a scalar exponent differently.
+    # Constants are views of a number. Those in ties are full arrays, because NumPy rounds powers with a scalar exponent differently.
     values: dict[str, Array] = {
         name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
     }
@@ -183,7 +183,7 @@ def without_settings(reason: Flags, *settings: Array) -> None:
 def reasons(
     system: System, points: Points, no_value: Mask | bool = False, no_motion: Mask | bool = False
 ) -> Flags:
-    """Return the `Reason` of points that follows from body, start, ties and family, without regard to settings."""
+    """Return the `Reason` of each point. Body, start, ties and family are checked, but not the settings."""
     conditions = {
         Reason.NO_VALUE: no_value,
         Reason.IMPOSSIBLE_BODY: ~possible_body(system, points),
@@ -205,7 +205,7 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
 
 
 def point_at(scene: Scene, places: Mapping[str, float], what: str) -> Grid:
-    """Return the point at the value of each axis; BadInput for a wrong axis, which `what` needs, or a point without motion."""
+    """Return the point at a value of every axis. Raise BadInput for no motion, or for wrong axes with `what` in the message."""
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
             problem = "is no axis of the scene" if name in places else "has no value"
@@ -252,7 +252,7 @@ def durations(
     system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration", *,
     zero: bool = False,
 ) -> Array:  # fmt: skip
-    """Return durations in time units, or nan as in `at_points` or if nothing turns. Raise BadInput if turns or orbits overflow."""
+    """Return durations in time units, or nan as in `at_points` or where nothing turns. Raise BadInput if one is infinite."""
     if isinstance(duration.amount, str) or not duration.unit:
         return at_points(system, duration.amount, points, names, zero=zero)
     with np.errstate(all="ignore"):
@@ -270,7 +270,7 @@ def durations(
 
 
 def check(scene: Scene) -> Grid:
-    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid, of which one can be computed.
+    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid. At least one can be computed.
 
     Raise BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
     """

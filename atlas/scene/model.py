@@ -92,7 +92,7 @@ class Settings:
         return replace(self, rate_tolerance=rate_tolerance, cylinder_tolerance=self.cylinder)
 
     def at(self, rate_tolerance: Array | float, transient: Array | float = 0.0) -> RunSettings:
-        """Return run settings with rate tolerances (rad per time unit) and transients (time units) at points or for all points."""
+        """Return run settings with a rate tolerance (rad per time unit) and transient (time units), each a number or an array."""
         return RunSettings(
             self.method, self.tolerance, self.step, self.max_steps, Tolerances(rate_tolerance, self.cylinder),
             self.drift_tolerance, self.std_tolerance, self.check_half_step, transient,

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..errors import BadInput, shown
 
-MAX_FIELDS, MAX_NAME = 10_000, 100  # numbers of fields and of characters of a name that are examined
+MAX_FIELDS, MAX_NAME = 10_000, 100  # largest numbers of examined fields, and of examined characters of a name
 REMEDY = "rename it, or keep it as it is by keep"
-# Separators between two names or two values that were read as a single column.
+# Separators between names or values of columns that were read as a single column. In _SIGN, spaces alone are no separator.
 _BREAK, _SIGN = re.compile(r"[\s,;|:/&]+"), re.compile(r"\s*[,;|:/&\t]\s*")
 # Products of units, such as kg m^2, rad/s, A.m2 or Nms. Possessive quantifiers avoid slow matching of texts such as mmmm.
 _UNITS = (

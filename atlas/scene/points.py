@@ -61,7 +61,7 @@ KEYS: checks.Keys = {
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """Return the table [points], in which numbers replace the name of a file, and columns by name. Files need a `folder`."""
+    """Return the table [points] and its columns by name. In the table, numbers replace the name of a file. Files need a `folder`."""
     checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
@@ -116,7 +116,7 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Return quasi-random numbers in the unit cube, of shape (dimensions, count). A balanced "sobol" sample has 2^n points."""
+    """Return quasi-random numbers in the unit cube, (dimensions, count). A "sobol" sample is balanced if `count` is a power of 2."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":

@@ -43,9 +43,9 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
     """Return columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or a row.
 
     Columns of a Dataset are the data variables and the coordinates in `parameters` or `keep`, as DataArrays with all other
-    coordinates. A single dimension is renamed "point", without the index, unless `parameters` or `keep` has the name. The index of
-    a DataFrame becomes a column, which keeps a name in `parameters` or `keep` and is called "point" otherwise. An index that
-    numbers the rows is dropped.
+    coordinates. A single dimension is renamed "point" and loses its index, unless `parameters` or `keep` has its name. The index of
+    a DataFrame becomes a column. The column is called "point", unless `parameters` or `keep` has the name of the index. An unnamed
+    index 0, 1, 2, ... is dropped.
     """
     import xarray as xr
 
@@ -62,7 +62,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
             if not any(dim in source[name].dims for name in columns):
                 raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
         if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
-            # The dataset is a list of points, which an index of a single level numbers.
+            # The dataset is a list of points. An index of a single level only numbers the points.
             index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
             for name in index:
                 check_name(str(name), source[name], {*parameters} - {*columns})
@@ -88,7 +88,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         check_name(str(labels.name), labels, {*parameters} - {*values})
         numbers_rows = labels.name is None and np.array_equal(labels, range(len(labels)))
         return values if numbers_rows else {POINT: np.asarray(labels)} | values
-    if of_pandas and hasattr(source, "to_dict"):  # a row, without entries that name the point
+    if of_pandas and hasattr(source, "to_dict"):  # a row; entries that name the point are left out
         row = {str(name): value for name, value in source.to_dict().items()}
         naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - names
         _check_others(parameters, {name: row[name] for name in naming}, row, keep)
@@ -333,11 +333,11 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
         )
 
 
-SEPARATORS = ("\t", ";", ",", " ")  # The first of these in the line of names separates the fields.
+SEPARATORS = ("\t", ";", ",", " ")  # The first that occurs in the line of names separates the fields.
 INDEX = "index"  # name for an unnamed first column, which is the index in files of pandas
 # Largest numbers of characters of a line and of a table. A file that is no table may be a single line, and a pipe may have no end.
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
-MAX_COMMENTS = 20  # number of comments before the first point that are searched for names of columns
+MAX_COMMENTS = 20  # number of last comments before the first point that may name the columns
 
 
 class CsvColumns(dict[str, Any]):
@@ -356,7 +356,7 @@ class CsvColumns(dict[str, Any]):
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
     """Return the columns of a CSV file, with nan for empty fields of `numeric` columns. BadInput names file and line.
 
-    The first line names the columns, or a comment before the first line, as numpy.savetxt writes it.
+    The first line names the columns. If that line has numbers, a comment before it may name them, as in files of numpy.savetxt.
     """
     number = size = 0  # number of the last line, and number of characters, that have been read
     comments: deque[str] = deque(maxlen=MAX_COMMENTS)

@@ -23,7 +23,7 @@ class Tally:
 
     def __init__(self) -> None:
         # `counts` has the number of points for each flag of a variable, and for each bin of errors of a group in GROUPS. `largest`
-        # has the largest error of each group, of motions "unstable" by theory and of "others", and the largest integral_drift.
+        # has the largest integral_drift and the largest errors of each group, of "unstable" motions, and of all "others".
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod

@@ -38,7 +38,7 @@ TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip
-# Tiles in a folder with fewer points are read one after the other, because threads would wait for each other.
+# Tiles of fewer points are read from a folder one after the other, because threads would wait for each other.
 MIN_PARALLEL_POINTS = 4096
 
 

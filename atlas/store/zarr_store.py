@@ -53,7 +53,7 @@ except ImportError:
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # A coordinate of up to this many values is a single object, which opens faster.
-# PLAIN codecs do not compress. PACKING codecs do, so the unpacked size is checked before unpacking. Version 0.1.0 wrote shards.
+# PLAIN codecs do not compress; version 0.1.0 used sharding_indexed. PACKING codecs do, so the unpacked size is checked first.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
@@ -247,7 +247,7 @@ class Zarr(Format):
             place.write(METADATA, json.dumps(metadata).encode())
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open any Zarr store lazily. Raise BadInput if it is unfinished or damaged, or claims more than the objects can hold."""
+        """Open any Zarr store lazily. Raise BadInput if it is unfinished or damaged, or claims more data than the objects hold."""
         place = place_at(path)
         try:
             stamp, metadata = place.stamp(METADATA), json.loads(place.read(METADATA))
@@ -283,7 +283,7 @@ class Zarr(Format):
             if claimed > MIN_CLAIM and isinstance(place, Folder):
                 stored = 0
                 for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
-                    if stored * MAX_RATIO >= claimed:  # The files that were counted so far suffice.
+                    if stored * MAX_RATIO >= claimed:  # The files counted so far can hold what is claimed.
                         break
                 check_claim(claimed, stored)
             own = _Store.open_group(store, mode="r", consolidated=is_consolidated)

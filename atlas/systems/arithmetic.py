@@ -233,7 +233,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
                 f"{key}: LOSSES: {shown(name)} is no first integral; {allowed_text(name, integrals)}"
             )
     for name in losses.values():
-        if name in observables:  # kernels compute observables in the caller's units, and losses in their own
+        if name in observables:  # observables are in the caller's units, but losses in the kernel's
             raise BadInput(f"{key}: LOSSES: {shown(name)} is an observable; choose another function")
     return tuple(losses.values())
 

@@ -34,7 +34,7 @@ NATURAL_RATE = "natural_rate"
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _T = TypeVar("_T")
 _F = TypeVar("_F", bound=Callable[..., Any])
-_CHUNK = 16384  # number of points that are identified together, whose arrays fit into the cache
+_CHUNK = 16384  # number of points identified together, so few that the arrays fit into the cache
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Family:
     title: str = ""
     equations: str = ""  # numbers of the equations in the paper, or another source
     conditions: tuple[Condition, ...] = ()
-    # Formula for the value of each parameter on the family, nan where there is none. Formulas are used in this order.
+    # Formula for the value of each parameter on the family, nan where there is none. Formulas are used in the order of the mapping.
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
     # Text on the default solution of each parameter with several solutions, or of each rate from which start values are solved.
     # For the solution nearest to a value, points hold the value under the name and under NEAR + name; inf asks for the largest.
@@ -184,7 +184,7 @@ class DerivedVariable:
     check: Callable[[Points, Array], object] = lambda points, duration: None
     # Sentences by name for int8 flags, in the order of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
-    from_start: bool = False  # whether values describe the motion from the start, which excludes a transient
+    from_start: bool = False  # whether values describe the motion from t = 0, which forbids a transient
     # Function for several variables. Variables that share intermediate results have the same function here.
     group_values: GroupValues | None = None
 
@@ -377,7 +377,7 @@ class System(ABC):
         """Return the state at t = 0, shape (states, points), in the order of ``equations.STATE``."""
 
     def steady_rates(self, points: Points) -> tuple[Array, Array, Array]:
-        """Return the tilt and rates of the steady motion theta' = 0, psi' = n, phi' = m that has each start.
+        """Return the tilt and rates of the steady motion theta' = 0, psi' = n, phi' = m that starts at each point.
 
         Returns
         -------
@@ -746,7 +746,7 @@ def unsteady(system: System, flags: Flags) -> Mask:
 
 
 def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
-    """Return the standard deviation over each run of the rate about the vertical, rad per time unit; 0 for steady motions."""
+    """Return, for each run, the standard deviation of the rate about the vertical, rad per time unit; 0 for steady motions."""
     result = np.zeros(flags.shape)
     for family in families_of(system).values():
         if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:

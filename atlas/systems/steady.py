@@ -72,7 +72,7 @@ def growth_about_vertical(system: System, points: Points) -> Array:
     """Return the growth rate, (points,), of the angle about the third axis while this axis stays exactly on the vertical.
 
     The angle obeys delta'' = a delta + b delta', where a and b are derivatives of the equations. Where the growth rate is 0,
-    rounding decides no label. It is nan off the vertical, and for systems to which the theorem does not apply.
+    rounding decides no label. The growth rate is nan off the vertical, and for systems to which the theorem does not apply.
     """
     growth = np.full(shape_of(points), np.nan)
     if isinstance(polynomial_degree(system), str):
@@ -118,7 +118,7 @@ def lacks_theory(system: System, points: Points) -> Mask:
 
 
 def _start(system: System, points: Points) -> tuple[Array, Array]:
-    """Return states and constants, without rounding errors of a fast precession in the transverse rates on the vertical."""
+    """Return states and constants. On the vertical, transverse rates that are rounding errors of a fast precession become 0."""
     state, constants = np.array(system.initial_state(points), float), system.constants(points)
     sine, n, _ = system.steady_rates(points)
     across = np.array(system.equations.frame_motion(state, constants)[:2])

@@ -36,7 +36,7 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
         pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
         values |= {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
     if in_machine_code:
-        from ..kernel import machine_code  # here, because plain Python needs no compiler
+        from ..kernel import machine_code  # imported here, because plain Python needs no compiler
 
         lines = {name: repr(value) for name, value in values.items()}
         lines |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}

@@ -114,7 +114,7 @@ def predict_labels(
     nudged: bool,
     in_machine_code: bool = False,
 ) -> StartLabels:
-    """Return predicted labels of starts from labels `exact` of exact motions in the system's frame and in inertial space."""
+    """Return labels predicted for starts, given labels `exact` of exact motions in the system's frame and in inertial space."""
     one = np.ones_like(test.residual)
     label, inertial, answer = np.empty((3, one.size), np.int8)
     result = StartLabels(label, inertial, answer, np.empty(one.size))

@@ -6,8 +6,8 @@
 4. A far start drifts, a near start has no label, and an exact start has the label of the exact statistics.
 5. If a nudge leads to no other steady motion, a stable motion keeps the label, an unstable motion drifts, and others lose it.
 6. If a nudge leads far from every steady motion, even a near start drifts. If a nudge changes rates by more than KEPT tolerances,
-   the label is lost. This does not hold for motions in the plane and beyond the range.
-7. Growth does not change the label of a motion in the plane that drifts.
+   the label is lost. This rule does not hold for motions in the plane and beyond the range.
+7. If a motion in the plane drifts, growth does not change the label.
 8. Growth begins at the residual of the equations, but in the plane and about other axes at the residual of the family.
 9. Without a nudge, an exact start whose residual grows beyond the tolerances becomes near and loses any label but drifting.
 10. Labels about any axes follow from the answer after rules 3 and 9.
@@ -26,7 +26,7 @@ from .generated import derivatives, frame_motion, frame_motion_change
 from .point import StartLabels, SteadyTest, fmax, larger, length, minus, over, scaled, smaller
 from .steady import FAR, Existence, departure, exact_motion, motion_about_third, start_on_axis, steady_motion
 
-# Rounding explains a dimensionless residual of a steady motion up to this value. It changes larger residuals by less than 1 %.
+# Rounding explains a dimensionless residual of a steady motion up to this value, and changes larger ones by less than 1 %.
 ROUNDING_RESIDUAL = 1e-13
 # A start with a larger residual is on no family about the third axis and the vertical.
 NEARBY = 1e-6
@@ -161,7 +161,7 @@ def after_nudge(label, stable):
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Return the logarithm of the growth by which the residual of a steady start, or larger rounding, reaches a tolerance.
+    """Return the logarithm of the growth from the residual of a steady start, or from ROUNDING if that is larger, to a tolerance.
 
     Rounding errors of rates are relative to the frequency bound, and rounding errors of angles are relative to 1.
     """

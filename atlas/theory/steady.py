@@ -119,7 +119,7 @@ def start_at(w, vectors, constants):
 
 
 def start_on_axis(w, vectors, constants, rates):
-    """Return the start, on the vertical without transverse rates that are rounding errors of a fast precession."""
+    """Return the start. On the vertical, transverse rates that are rounding errors of a fast precession become 0."""
     start, (sine, n, _) = start_at(w, vectors, constants), rates
     if abs(sine) <= TERM_ROUNDING and np.hypot(start.u[0], start.u[1]) <= TERM_ROUNDING * abs(n):
         return start_at((w[0] - start.u[0], w[1] - start.u[1], w[2]), vectors, constants)
@@ -142,7 +142,7 @@ def motion_about_third(start, rates):
 def candidate(which, start, second, bound):
     """Return a candidate for the motion from u, u' and `second`, which is u''.
 
-    The number `which` says what is assumed: 0 one axis, 1 nu is vertical, 2 s is the third axis, 3 none of these.
+    The number `which` says what is assumed: 0 both axes are along u, 1 nu is vertical, 2 s is the third axis, 3 none of these.
     """
     u, first, g = start.u, start.acceleration, start.vertical
     least = TERM_ROUNDING * (length(u) + length(start.frame))
@@ -256,7 +256,7 @@ def residual_at(start, constants, motion, alpha, beta):
 
 
 def rounding(start, constants, motion):
-    """Return the magnitudes of the terms of a residual, plus their changes by relative errors 1 of the states."""
+    """Return the magnitudes of the terms of a residual, plus the changes of these terms by relative errors of 1 in the states."""
     s, nu, frame = magnitude(motion.s), magnitude(motion.nu), magnitude(start.frame)
     m, n = abs(motion.m), abs(motion.n)
     base = n + length(frame)
@@ -277,9 +277,9 @@ def second_derivative(start, constants):
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
     """Return the first-order change of theta', psi' and phi', in tolerances.
 
-    In the cone around the vertical it is the change of the tilt and of the rate about the vertical. A deviation x from `motion`,
-    which is about the third axis and the vertical, obeys x' = A x + f at first. An undamped oscillation that is no faster than
-    `bound` then changes rates by at least |f| / bound.
+    In the cone around the vertical, return the change of the tilt and of the rate about the vertical. A deviation x from
+    `motion`, which is about the third axis and the vertical, obeys x' = A x + f at first. An undamped oscillation that is no faster
+    than `bound` then changes rates by at least |f| / bound.
     """
     s, m, g, n = motion
     inside = np.hypot(g[0], g[1]) < angle_tolerance
@@ -299,7 +299,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
 
 
 def undamped(start, constants, duration):
-    """Return the square root of the fraction of a run before the divergence of the equations damps an oscillation."""
+    """Return sqrt(t / duration), where the divergence of the equations damps an oscillation in the time t <= `duration`."""
     still = turn_all(start.vectors, (0.0, 0.0, 0.0))
     divergence = 0.0
     for i in range(3):

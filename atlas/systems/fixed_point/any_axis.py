@@ -4,7 +4,7 @@ In a motion w = n nu + m s the axis s is at rest in the body, and the axis nu is
 is theta1, and the angle between nu and the vertical g is kappa. The equations are linear in I, l and the weight Mg r_c, and they
 are written in harmonics of the angles n t and m t. If n, m and sin theta1 are not 0, they allow four cases:
 
-- kappa and N are not 0. The harmonic 2 n + 2 m and then 2 n + m (with n - m for n + m if n and m differ in sign) leave a
+- kappa and N are not 0. The harmonic 2 n + 2 m and then 2 n + m (with -m for m if n and m differ in sign) leave a
   spherical body, on which the field has no effect. By the next case it has no weight and belongs to `free_precession`.
 - kappa is not 0, and N = 0. The harmonics n + m and n - m of a weight need |n| = |m| and theta1 = pi/2, which leaves
   `grioli`. A body without weight is symmetric about s and belongs to `free_precession`.
@@ -128,7 +128,7 @@ def section_normals(inertia: Array) -> Array:
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
-    """Return component `i` of base + lambda direction. The other component with the largest direction gives lambda."""
+    """Return component `i` of base + lambda direction. Another component of `vector`, that of largest |direction|, gives lambda."""
     magnitudes = np.abs(direction)
     magnitudes[i] = -1.0
     base = np.broadcast_to(base, direction.shape)
@@ -212,7 +212,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_start(cls, name: str, points: Points) -> Array:
-        """Return one of p0 .. gamma30 when nu lies in the plane of s and I s. All six together start an exact motion."""
+        """Return one of p0 .. gamma30 at a time when nu lies in the plane of s and I s. All six together start an exact motion."""
         start = cls(points)
         values = np.stack([*start.inertia, *start.rotor, *start.weight])
         near = points.get(f"{NEAR}n", np.full_like(points["A"], np.nan))
@@ -224,7 +224,7 @@ class Grioli(Start):
         return state[VECTORS.index(name)].copy()
 
     def initial_state(self, near: Array) -> Array:
-        """Return p0 .. gamma30 when nu lies in the plane of s and I s, or nan where the body has no such motion.
+        """Return p0 .. gamma30 at a time when nu lies in the plane of s and I s, or nan where the body has no such motion.
 
         With b = s.I s, d = |s x I s| and l the rotor along s, n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 that is
         nearest to `near`. Where `near` is nan, n is the largest positive root.
@@ -258,7 +258,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """Return one coordinate of a centre of mass on a normal of a circular section, with the sign that was given."""
+        """Return one coordinate, of the given sign, of a centre of mass that lies on a normal of a circular section."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])

@@ -42,7 +42,7 @@ from .initial import bodies, body, fields, initial_state, rates, symmetric, vert
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
-    """Return sin theta, psi' = n and phi' = m of the steady motion that has each start."""
+    """Return sin theta, psi' = n and phi' = m of the steady motion that starts at each point."""
     gamma = vertical(points)
     _, n, m = rates(points)
     return np.hypot(gamma[0], gamma[1]), n, m
@@ -158,7 +158,7 @@ def _solve_permanent(name: str, points: Points) -> Array:
 
 
 def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
-    """Return theta0 or phi0 of the permanent rotation whose vertical, in the body, is nearest to the vertical of the start.
+    """Return theta0 or phi0 of the permanent rotation whose vertical makes the least angle in the body with that of the start.
 
     The search for phi0 keeps the given theta0, so that both may be solved together. The result is nan where there is no rotation.
     """

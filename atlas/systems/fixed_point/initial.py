@@ -56,7 +56,7 @@ START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UN
 
 @shared
 def fields(points: Points) -> tuple[Array, Array]:
-    """Return weight Mg and field gradient N. Where M, lambda and R are given, they follow from (4), (5) of the paper."""
+    """Return weight Mg and field gradient N, which follow from (4), (5) of the paper where M, lambda and R are given."""
     given = ~np.isnan(points["M"])
     Mg = np.where(given, points["M"] * points["lambda"] / points["R"] ** 2, points["Mg"])
     N = np.where(given, 3 * points["lambda"] / points["R"] ** 3, points["N"])
@@ -100,7 +100,7 @@ def vertical(points: Points) -> Array:
 
 @shared
 def rates(points: Points) -> tuple[Array, Array, Array]:
-    """Return theta', n and m of w = n gamma + m e3 + theta' about the node. At a pole vectors give n = 0 and m = r."""
+    """Return theta', n and m of w = n gamma + m e3 + theta' about the node. At a pole, n = 0 and m = r if vectors are given."""
     gamma = vertical(points)
     p, q, r = points["p0"], points["q0"], points["r0"]
     sine = np.hypot(gamma[0], gamma[1])
@@ -259,5 +259,5 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Return the constants that are 0 without damping. No other term costs more than 5 % of the time."""
+    """Return `damping` if it is 0 at all points. Any other term of 0 is kept, because it costs at most 5 % of the time."""
     return {"damping"} & zero, set()

@@ -12,7 +12,7 @@ from . import any_axis, equations, families, initial
 
 
 class FixedPoint(Gyrostat):
-    """Heavy gyrostat about a fixed point, which a distant centre attracts."""
+    """Heavy gyrostat that turns about a fixed point and is attracted by a distant centre."""
 
     name = "fixed_point"
     title = "gyrostat about a fixed point in a central Newtonian field"

@@ -173,7 +173,7 @@ class Body(NamedTuple):
         """Return an upper bound of the fastest frequency of the motion with this start, rad per time unit, (...,).
 
         The energy u.I u / 2 + W, where u is the rotation relative to the frame, never grows. The ranges of the terms of W
-        therefore bound u and every |w_i|. These bound the norms of the blocks of the frozen linearised equations in the
+        therefore bound u and every |w_i|. These rates bound the norms of the blocks of the frozen linearised equations in the
         coordinates sqrt(I) w. The Perron root of the 2 x 2 matrix of the norms bounds the frequencies.
         """
         inertia, turn, least = self.inertia.T, np.abs(self.turn), self.inertia.min(-1)
@@ -202,7 +202,7 @@ class Body(NamedTuple):
         return length(excess) <= 1e-8 * self.rate(w) ** 2 * self.inertia.max(-1) / self.inertia.min(-1)
 
     def gyroscopic(self, w: Array) -> Array:
-        """Return v = k + 2 I w - tr(I) w. In the linear system D = hat(v) is the matrix of the rates."""
+        """Return v = k + 2 I w - tr(I) w. The matrix D = hat(v) multiplies the rates in the linear system."""
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
@@ -237,7 +237,7 @@ class Body(NamedTuple):
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Return sqrt(norm_1 norm_inf) of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, which bounds the norm.
+    """Return sqrt(norm_1 norm_inf) of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, which bounds the spectral norm.
 
     The mask `third_alone` is true where w is along e3.
     """

@@ -60,7 +60,7 @@ def of_steps(matrices: Array) -> tuple[Array, Array]:
 @cache
 def _compile() -> Any:
     """Return the function `integrate` in machine code."""
-    from ...kernel import machine_code  # here, as commands that only read systems need no compiler
+    from ...kernel import machine_code  # imported here, as commands that only read systems need no compiler
 
     numbers = {"GROUP": repr(GROUP), "GAUSS": repr(GAUSS), "RESCALING": repr(RESCALING)}
     functions = {each.__name__: inspect.getsource(each) for each in _FUNCTIONS}

@@ -62,7 +62,7 @@ class Equilibria(NamedTuple):
         """Return the equilibria among motions whose vectors at the start are `w`, `alpha` and `gamma`, (points, 3).
 
         Where the axis of symmetry is vertical and nothing acts along alpha, the frame rests in space if `from_space` is true.
-        Otherwise the axis has two equally fast oscillations in the frame, and the energy has its largest minimum.
+        Otherwise the frame turns so that both oscillations of the axis are equally fast and the Hessian of the energy is largest.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -249,7 +249,7 @@ def _verdict(least: Array) -> Flags:
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Return body and motion. New axes of a spherical body have the first axis along rotor and fields, or else across `w`."""
+    """Return body and motion. A spherical body gets new axes, the first along rotor and fields, or across `w` without them."""
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma

@@ -1,4 +1,4 @@
-"""Find all critical points of a quadratic function on the unit sphere from the secular equation of the multiplier."""
+"""Find all critical points of a quadratic function on the unit sphere from the secular equation of the Lagrange multiplier."""
 
 from __future__ import annotations
 

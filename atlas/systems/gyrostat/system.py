@@ -148,7 +148,7 @@ class Gyrostat(System):
         return result
 
     def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
-        """Return EnergyStability at fixed momenta, and a mask of the value YES for bodies with an axis of symmetry."""
+        """Return EnergyStability at fixed momenta, and a mask of bodies with an axis of symmetry for which the value is YES."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
@@ -163,7 +163,7 @@ class Gyrostat(System):
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
-        """Return points with the same motion of the third axis but slower rotation, and the excess of phi' at these points.
+        """Return points with the same motion of the third axis but slower rotation, and the amount by which phi' is larger there.
 
         Where C w3 + rotor is constant, spin replaces the rotor if this lowers the frequency bound. Such points are cheaper to
         integrate accurately.

@@ -30,7 +30,7 @@ class Start(motions.Start):
         self.field_torque = field_torque(points)
 
     def axes(self) -> TwoAxes:
-        """Return axes and rates. The axis s is along the rotor, without a rotor along the magnet, and else along w."""
+        """Return axes and rates. The axis s is along the rotor, or along the magnet if the rotor is 0, or along w if both are 0."""
         s = np.where(length(self.magnet) > 0, self.magnet, self.w)
         s = unit(np.where(length(self.rotor) > 0, self.rotor, s), self.gamma)
         axes = about_axis(s, self.w, self.gamma)

@@ -84,7 +84,7 @@ def axial_rate(p: Points) -> Array:
 
 
 def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array]:
-    """Return the torque on a body at rest in the orbital frame, alpha and gamma, each (3, points)."""
+    """Return three vectors (3, points): the torque on a body at rest in the orbital frame, alpha and gamma."""
     inertia, k, mu = body_vectors(p)
     alpha, gamma = directions(p)
     square = p["Omega"] ** 2

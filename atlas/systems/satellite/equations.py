@@ -32,7 +32,7 @@ CONSTANTS = (
     "drag3_A", "drag2_A", "drag1_B", "drag3_B", "drag2_C", "drag1_C", "drag1", "drag2", "drag3",
     "damping_A", "damping_B", "damping_C",
 )  # fmt: skip
-# Constants that identify a point only if they are not 0.
+# Constants that enter the hash of a point only if they are not 0.
 OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")

@@ -1,8 +1,8 @@
 """The families of exact steady motions theta = theta0, psi' = n, phi' = m of the satellite.
 
 For Omega > 0 and without drag the families contain all such motions. They follow from the equations of motion of (1)-(3)
-of Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by the condition that w' = n gamma + m e3 is a
-solution for all t. `tests/systems/test_satellite_families.py` proves each family from these equations. Short names are
+of Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by the condition that u = n gamma + m e3 solves them for
+all t, where u is the rotation relative to the orbital frame. `tests/systems/test_satellite_families.py` proves each family. Let
 c = cos theta0, s = sin theta0, w3 = (n + Omega) c + m, K = k1 + i k2, U = mu1 + i mu2 and a = (A + B) / 2. The field in the
 axes of the node, of which e3 is the third, is H = (h1 cos psi0, h3 s - h1 c sin psi0, h3 c + h1 s sin psi0).
 With n = 0, A = B and m not 0, the motion is steady if and only if
@@ -15,10 +15,10 @@ the last equation. The families perp_radius and oblique allow such drag, equilib
 Drag across the axis allows more motions, which only the test of the equations finds.
 
 The module `conditions` has the equations, which are solved for parameters in which they are linear. The families overlap, and a
-point belongs to the first family in the order of FAMILIES. Residuals are divided by scales of inertia J (the largest moment),
-rate w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J) with T = |mu| |h| + |drag|, momentum J w + |k| and torque
-w (J w + |k|) + T. With Omega = 0 every family is still exact, but a free or heavy body has more steady motions. With damping
-only motions at rest in the orbital frame, w' = 0, remain steady, because the Jacobi integral of all other motions falls.
+point belongs to the first family in the order of FAMILIES. Let J be the largest moment of inertia and T = |mu| |h| + |drag|.
+Residuals are divided by J, the rate R = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J), the momentum J R + |k| or the torque
+R (J R + |k|) + T. With Omega = 0 every family is still exact, but a free or heavy body has more steady motions. With damping
+only motions at rest in the orbital frame, u = 0, remain steady, because the Jacobi integral of all other motions falls.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def nearest_pole(name: str, p: Points) -> Array:
 
 
 def _theta(p: Points) -> Array:
-    """Return the tilt in [0, pi] from k3 and m. If there are several, return the tilt nearest to a wanted tilt, or nan."""
+    """Return the tilt in [0, pi] from k3 and m. Of several, return the nearest to the wanted tilt, or nan if none is wanted."""
     sp, cp = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
@@ -87,7 +87,7 @@ def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
 
 
 def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points) -> Array:
-    """Return a component of k = base + lambda gamma. For k3, k1 and k2 give lambda; for k1 and k2, k3 gives lambda.
+    """Return a component of k = base + lambda gamma. For k3, lambda follows from k1 and k2; for k1 or k2, from k3.
 
     Where gamma3 = 0, lambda does not enter k3, and k1 and k2 determine each other.
     """
@@ -110,7 +110,7 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """Return psi0 from sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)) with the given sign of cos psi0, or with drag3 the nearest root."""
+    """Return psi0 with sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)) and the given sign of cos psi0, or with drag3 the nearest root."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)

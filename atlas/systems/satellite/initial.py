@@ -191,5 +191,5 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
-    """Return sin theta, psi' = n and phi' = m of the steady motion that has each start."""
+    """Return sin theta, psi' = n and phi' = m of the steady motion that starts at each point."""
     return np.sin(points["theta0"]), points["n"], points["m"]

@@ -35,7 +35,7 @@ class Extension:
     title : str
         What the extension adds, in a few words.
     needs : sequence of str, optional
-        Names of extensions that this one needs; if one is missing, it has no parts.
+        Names of extensions that this one needs; if one is missing, this extension is left out.
     functions : mapping of str to str, optional
         Public name below `atlas` -> function.
     questions : mapping of str to str, optional
@@ -48,14 +48,14 @@ class Extension:
     instruments : mapping of str to str, optional
         Name of a measured variable -> `atlas.measure.instrument.Instrument` object that measures the variable.
     methods : mapping of str to str, optional
-        Name of a method of `System` that asks extensions -> function of the system and the arguments of the method, which
-        returns None if it has no answer.
+        Name of a method of `System` that asks extensions -> function of the system and the arguments of the method. The
+        function returns None if it has no answer.
     families : mapping of str to str, optional
         Name of a family of steady motions -> function of a system that returns `Family` objects by name; their flags follow
         the flags of the system's own families.
     lines : mapping of str to str, optional
-        Name of a variable -> function of a `Plane` (of one or two axes) and the dataset that returns, by kind, all lines on
-        maps of this variable.
+        Name of a variable -> function that returns, by kind, all lines on maps of this variable. Its arguments are a
+        `Plane` (of one or two axes) and the dataset.
     flag_texts : mapping of str to str, optional
         Name of a variable -> function of a dataset that returns texts of the variable's flags for the legends of maps.
     line_styles : mapping of str to str, optional
@@ -158,7 +158,7 @@ def available_text(value: object, names: Collection[str]) -> str:
 
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
-    """Return every part of a kind (one of PARTS) by name. Raise BadInput if two extensions have the same name, except in OF_SYSTEMS."""
+    """Return every part of a kind (one of PARTS) by name. Raise BadInput if two parts have one name, except in OF_SYSTEMS."""
     by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():

@@ -158,7 +158,7 @@ def theory_borders(plane: Plane) -> Lines:
 
     Lines separate linearly stable from unstable motions, regular precessions from permanent rotations, and points with a motion
     from points without a motion. A line on which psi' or phi' is 0 lies between regular precessions, and motions on the line are
-    permanent rotations. A kind that depends on the frame has a second entry for inertial space, whose name ends with IN_SPACE.
+    permanent rotations. Kinds that depend on the frame have a second entry, with IN_SPACE after the name, for inertial space.
     """
     frames, nudged = ("", IN_SPACE), bool(plane.scene.nudge)
     kinds = {

@@ -92,7 +92,7 @@ def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
 def confusion(
     corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
 ) -> list[str]:
-    """Return a table that counts points by pairs of flags. Columns have the flags in `names` too, unless `columns` is given."""
+    """Return a table that counts points by pairs of flags. Rows have the flags `names`. Columns have `columns`, by default `names`."""
     shape = len(names), len(columns or names)
     pairs = np.ravel(down).astype(np.intp) * shape[1] + np.ravel(across)
     table = np.bincount(pairs, minlength=math.prod(shape)).reshape(shape)
@@ -166,7 +166,7 @@ def _proof_lines(ds: xr.Dataset, worst: int) -> list[str]:
 
 
 def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
-    """Whether the linear stability changes in a box about each point that reaches BAND of the axis range along each of `axes`."""
+    """Whether stability changes in a box about each point. The box reaches BAND of the axis range along each of `axes`."""
     reach = [max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 0 for count in stable.shape]
     window = [1 + 2 * n * (axis in axes) for axis, n in enumerate(reach)]
     return grid.near_change(stable, window)

@@ -16,7 +16,7 @@ RAD, DEGREE = "rad", "degree"  # values of the attribute units
 
 
 def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
-    """Return the factor from the values of a variable to the values shown, which is 180 / pi for an angle in rad and else 1.
+    """Return the factor from the values of a variable to the values shown: 180 / pi for an angle in rad, otherwise 1.
 
     If `degrees` is None, the attribute display_units decides.
     """

@@ -15,7 +15,7 @@ from .metadata import axes_of
 from .plane import Plane
 from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
-# Curves are traced on this number of samples along each axis. Vertices are trisected this often between two samples.
+# Number of samples along each axis on which curves are traced, and number of trisections between two samples that find a vertex.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
 # A condition that holds at more than this fraction of the samples holds in a region, where its sign is only rounding.
 REGION = 0.1
@@ -25,8 +25,8 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Return the curves on a plane along which exact steady motions exist, by family.
 
     The family of the scene is traced or, if the scene names none, every family. If the scene solves its points onto a family, the
-    curves are the lines on which an axis is the offset from the family and is 0. Otherwise the conditions of a family hold on a
-    curve.
+    curves are the lines on which the offset from the family, which is an axis, is 0. Otherwise the conditions of a family hold on
+    a curve.
     """
     scene = plane.scene
     if scene.solve:

@@ -250,7 +250,7 @@ def _registry(system: System) -> Mapping[str, Variable]:
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """Return the names of -1 and of positions if a variable holds positions in a list, from its attribute or its `Variable`."""
+    """Return the names of -1 and of positions for a variable with positions in a list. An attribute or a `Variable` gives them."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)

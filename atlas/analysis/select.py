@@ -66,7 +66,7 @@ def select(
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(in_degrees(chunk.isel(pointwise).load(), degrees))
-    if not selected:  # old versions of xarray fail to read zero points
+    if not selected:  # old versions of xarray fail to read an empty selection
         nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
         return in_degrees(ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing), degrees)
     if len(selected) == 1:

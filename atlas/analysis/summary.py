@@ -16,7 +16,7 @@ from ..systems.base import families_of, on_family
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of, without_run
 
 MAX_NEAREST = 10_000  # largest number of drifting points that are compared with families
-# What an error estimate above 1 means, by its key in `Tally.largest`.
+# What an error estimate above 1 means for the points of a key of `Tally.largest`.
 _UNKNOWN = {
     "unstable": "an instability has amplified errors until the final state is unknown",
     "others": "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown",

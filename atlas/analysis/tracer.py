@@ -61,7 +61,7 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
     return lines
 
 
-# Number of samples along each axis before refinement, even for the reason given at SAMPLES.
+# Number of samples along each axis before refinement. The number is even for the same reason as SAMPLES.
 COARSE_SAMPLES = 150
 # Each cell that a line crosses is divided LEVELS times into DIVISION x DIVISION cells. An odd DIVISION keeps the middle of an
 # extent, where special values such as 0 often are, between two samples.
@@ -242,7 +242,7 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
         line = np.insert(line, i + 1, crossing, axis=0)
     shown = np.all((line >= low) & (line <= high), axis=1)
     parts = shown_parts(line, shown)
-    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line from inside
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that begins inside
         parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
     return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
 
@@ -302,7 +302,7 @@ def crossings(difference: Array) -> list[Array]:
 
 
 def _crossed_edges(difference: Array) -> Array:
-    """Return at what fraction of the way from sample i to i + 1 of the first axis the difference vanishes; nan if it does not."""
+    """Return the fraction of the way from sample i to i + 1 of the first axis at which the difference vanishes, or nan."""
     fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
     before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
     with np.errstate(invalid="ignore", divide="ignore"):

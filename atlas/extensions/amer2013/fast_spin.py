@@ -3,8 +3,8 @@
 A body with A = B has its centre of mass on the third axis and spins about this axis at a fast rate r0. The rotor
 (l1, l2, l3) is arbitrary. The small parameter is eps = c sqrt(gamma0'') / r0, with c^2 = Mg |z0| / C. Numbers in
 brackets are the paper's equations. `published` has the same quantities as the paper prints them, and
-`published.PUBLISHED` lists the differences and their sizes. The dimensionless state is y = (p1, q1, r1, g1, g1', g1''), and the
-time is tau = r0 t. With w = p1 + i q1, G = g1 + i g1' and mu = (l1 + i l2) / (A c sqrt(gamma0'')) the equations are
+`published.PUBLISHED` lists the differences. The dimensionless state is y = (p1, q1, r1, g1, g1', g1''), and the time is tau = r0 t.
+A1, a, k and z are in `FastSpin`. With w = p1 + i q1, G = g1 + i g1' and mu = (l1 + i l2) / (A c sqrt(gamma0'')) the equations are
 
     w'   = i (A1 r1 + s) w - i mu r1 + i eps (z/a - k A1 g1'') G        s = l3 / (A r0)
     G'   = -i r1 G + i eps w g1''
@@ -63,7 +63,7 @@ class FastSpin:
         )
         _raise_where(self.weight == 0, "Mg z0 = 0: the unit c sqrt(gamma0'') of p and q in (4) vanishes")
         _raise_where(C * r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega")
-        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''), unit of p, q, rad s-1
+        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''), the unit of p and q
         self.eps = self.scale / r0
         self.a, self.A1 = A / C, (C - A) / A
         self.k = self.N * C / np.abs(self.weight) * self.gamma0  # N gamma0'' / c^2; (4) prints N / c^2
@@ -146,7 +146,7 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 
 def p2_gamma2(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """Return p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0. The rates of y give p2' and gamma2'."""
+    """Return p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0. If y is dy/dtau, return p2' and gamma2'."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
@@ -158,7 +158,7 @@ def to_quasilinear(spin: FastSpin, y: Array) -> Array:
 
 
 def quasilinear(spin: FastSpin, x: Array) -> Array:
-    """Return dx/dtau from (15) to first order in eps. The forcing is Omega mu1 of p2'' and eps mu1 / (1 + Omega) of gamma2''."""
+    """Return dx/dtau from (15) to first order in eps. The forcing is Omega mu1 in p2'' and eps mu1 / (1 + Omega) in gamma2''."""
     p, p_dot, g, g_dot = x
     forcing = spin.Omega * spin.mu.real
     return np.array([p_dot, forcing - spin.Omega**2 * p, g_dot, spin.eps * spin.nu * spin.mu.real - g])
@@ -275,7 +275,7 @@ def paper_start(spin: FastSpin) -> Array:
 
 
 def random_spin(rng: np.random.Generator, **given: float) -> FastSpin:
-    """Return a random body in strong fields of force with a moderate spin. `given` has chosen values of attributes."""
+    """Return a random body in strong fields of force with a moderate spin. `given` replaces random values of attributes."""
     values = {
         "A": 1.0, "C": rng.uniform(1.2, 1.8), "weight": rng.uniform(1, 2), "N": rng.uniform(2, 4),
         "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),

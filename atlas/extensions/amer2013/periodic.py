@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Correct the unknowns by Newton's method. Also return the defect before the last correction, which about squares the defect."""
+    """Correct the unknowns by Newton's method. Also return the defect before the last correction; about its square remains."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])

@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
-    """Return the error of chi1 and nu. The part w = eps chi1 G must turn at the rate -1 of G, and G = eps nu w at the rate Omega of w."""
+    """Return the error of chi1 and nu. The part eps chi1 G of w must turn at the rate -1 of G, and the part eps nu w of G at Omega."""
     chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
@@ -224,7 +224,7 @@ def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[
 _ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
 _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
-# The key of a measure is the number of an equation or a key of its entry.
+# The key of a measure is the number of an equation, or a key of entries in equations.toml.
 MEASURES: dict[str, EntryMeasure] = {
     "(1), second equation": _of_body(partial(_rate_error, 1), rhs, fast_spin.rhs),
     "(1) but for the second equation, (5)": _of_body(

@@ -114,7 +114,7 @@ def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
 
 
 def variables(x0: Array, x: Array) -> Values:
-    """Return p2, p2', gamma2, gamma2' under the names p, v, g, u at x and p0, v0, g0, u0 at x0. Dname is name at x0 minus name at x."""
+    """Return p2, p2', gamma2, gamma2' under the names p, v, g, u at x and p0, v0, g0, u0 at x0. Dp is p0 - p, Dpv is p0 v0 - p v etc."""
 
     def products(x: Array) -> Values:
         values = dict(zip("pvgu", x, strict=True))

@@ -83,7 +83,7 @@ def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Return moments (points, 3) and axes as rows (points, 3, 3). Signs, and the order if `nearest`, make the rotation smallest."""
+    """Return moments (points, 3) and axes as rows (points, 3, 3). Their signs, and order if `nearest`, give the smallest rotation."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
     # The largest component (the first of equal ones) is made positive, so that the signs of the solver do not matter.

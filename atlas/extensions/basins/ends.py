@@ -16,7 +16,7 @@ from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
-MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof, over the error of the energy
+MARGIN = 10.0  # a proof adds the error of the energy, times this, to the energy
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
 # Largest error of a motion before it settles, in rad and in units of rates. A larger error may cross the border of a basin.
 LARGEST_ERROR = 0.01
@@ -101,7 +101,7 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Return which points have an end, unless it is proved and every equilibrium that is no minimum has more energy than the start."""
+        """Return which points have an end. Proved ends count only if the energy at the start is not below LEAST."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided
@@ -150,7 +150,7 @@ class Settling(Instrument):
         return self.every_variable(system) if ENDS.variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """Return the energies below which a body is settled at its minima, (LEVELS, points), in ascending order and then nan."""
+        """Return the energies below which a body is settled at its minima, (LEVELS, points), ascending and filled with nan."""
         from .wells import wells_of
 
         wells, row = wells_of(system, points)

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the sum of every rival.
+# Two solutions match if the errors with which they predict each other sum to less than _CLOSE and _DISTINCT times any rival sum.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
-_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval, and step between their fractions
+_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; step, modulo 1, that spreads the divisions
 _DIFFERENCE = 1e-5  # step of central differences, in rad or in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # Newton's method stops when a step is shorter than this
@@ -152,7 +152,7 @@ class Nodes(NamedTuple):
     frames: Array  # rows alpha, beta, gamma in body axes, nan in unused places, (nodes, places, 3, 3)
     morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
     turn: Array  # rotation along the branch per unit of the parameter, (nodes, places, 3)
-    distance: Array  # change of the parameter to first order until solutions may merge, (nodes, places)
+    distance: Array  # first-order change of the parameter after which solutions may merge, (nodes, places)
     usable: Mask  # whether all solutions are listed and regular, and the sum of (-1)^index is right, (nodes,)
 
 

@@ -80,7 +80,7 @@ class Borders(NamedTuple):
     morse_index: NDArray[
         np.int64
     ]  # the lower of the Morse indices on the two sides, between each vertex and the next
-    changes: Array  # solutions on the left of the curve minus on the right, (2, vertices); the second row counts stable solutions
+    changes: Array  # numbers of all and of stable solutions, on the left of the curve minus on the right, (2, vertices)
     axis: Array  # positions along each side of the grid on which equilibria are counted
     cells: NDArray[np.int8]
 
@@ -319,7 +319,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
     for column in (0, 1):
 
         def test(points: Degenerate, column: int = column) -> Array:
-            """Return a function of points that vanishes at special points."""
+            """Return values that are 0 at special points."""
             return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
         for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):

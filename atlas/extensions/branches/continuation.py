@@ -17,12 +17,12 @@ from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
 _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # first, longest and shortest step; most steps
-# A step across a point at which another curve crosses is shorter than this. Limits of stability are more singular there.
+# Only steps shorter than this may pass a point at which another curve crosses. The second length is for limits of stability.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # desired angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain, because another curve crosses
 _NONE = 1e-10  # a value counts as 0 below this fraction of the largest value
-_ILLINOIS, _NO_SHARE = 14, 1e-15  # most iterations and last change of the bracketed secant method
+_ILLINOIS, _NO_SHARE = 14, 1e-15  # bracketed secant method: most iterations, and change at its end
 _ITERATIONS = 10  # number of iterations of least squares where the equations are singular
 _MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic errs by less than 1e-6
 _ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
@@ -33,14 +33,14 @@ _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exce
 # Least scalar product of successive unit null vectors of a curve. With nearly equal moments another curve may be close.
 _SAME_VECTOR = 0.3
 _BACK = 1e-6  # a curve turns between vertices with parameter rates a and b if -a.b > _BACK (a.a + b.b)
-# Shorter limits of stability, in units of the ranges of the parameters, are dropped. So are vertices of limits that are nearer to
-# others or to ends, where the equations of limits are nearly singular.
+# Limits of stability shorter than this, in units of the ranges of the parameters, are dropped. So are their vertices nearer than
+# this to other vertices or to an end, where the equations of limits are nearly singular.
 _SAME_END = 2e-5
 _OBLIQUE = 0.3  # largest distance of the next point from the tangent, over its distance along the tangent
 
 
 class Piece(NamedTuple):
-    """Part of a curve between two ends. Point i has the end 2 i ahead and 2 i + 1 behind; -1 is a side of the box, -2 a lost end."""
+    """Part of a curve between two ends. End 2 i is ahead of point i, and 2 i + 1 behind. -1 is a side of the box, -2 a lost end."""
 
     length: float
     first: int
@@ -59,7 +59,7 @@ class Curve(NamedTuple):
     lost: bool  # whether the curve ends inside the box
 
     def sound(self) -> Mask:
-        """Whether vertices are on the curve. A pitchfork without bifurcating solutions between two more of this kind does not count."""
+        """Whether vertices are on the curve. A pitchfork that is `flat` does not count if both neighbours are `flat` too."""
         flat = np.r_[True, self.points.flat(), True]
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 
@@ -186,8 +186,8 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target on the side is met instead
-        meets = (to_target <= 1.2 * arc) & ~leaves  # otherwise the next step may begin at the target
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target on the side is met first
+        meets = (to_target <= 1.2 * arc) & ~leaves  # no step ends just before a target
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
         row = _in_unknowns(now, along)
@@ -377,7 +377,7 @@ def with_zeros(
     for iteration in range(_ILLINOIS if share.size else 0):
         before, share = share, high - at_high * (high - low) / (at_high - at_low)
         if iteration and (np.abs(share - before) < _NO_SHARE).all():
-            break  # not at once, because the first secant may give the middle again
+            break  # not at first, because the first secant may give the middle, where `share` begins
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
@@ -387,7 +387,7 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Return the curves with vertices added where limits of stability turn back. The limit of two mirror images does so at a pitchfork."""
+    """Return the curves with vertices added where limits of stability turn back, as those of mirror images do at a pitchfork."""
     if not lines:
         return []
     every = Segments.of(lines)

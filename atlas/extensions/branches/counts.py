@@ -22,7 +22,7 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
         return {}
 
     def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
-        """Return the numbers at points. Points that differ only in their start share one search."""
+        """Return the numbers of equilibria at points. Points that differ only in their start share one search."""
         from ..equilibria.algebra import numbers
         from ..equilibria.bodies import bodies_of
 

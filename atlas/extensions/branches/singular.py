@@ -210,7 +210,7 @@ class Potential(NamedTuple):
         return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
 
     def mirror(self) -> Array:
-        """Return the signs that alpha -> -alpha gives the unknowns of `Degenerate`, or ones if this changes the potentials."""
+        """Return the signs that alpha -> -alpha gives the unknowns of `Degenerate`, or ones unless `mirrored`."""
         n, m = self.forms.shape[1], len(self.forms)
         signs = np.ones(n + m)
         if self.mirrored:
@@ -554,7 +554,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Return unknowns at critical points, real where `solves`. To first order an eigenvalue vanishes within `reach`."""
+        """Return unknowns at points x within `reach` of degenerate points, to first order. Points with `solves` are solutions."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -638,10 +638,10 @@ class Degenerate(NamedTuple):
     def character(self) -> tuple[NDArray[np.int64], Array, Array]:
         """Return the number of other negative eigenvalues, two functions with zeros at special points, and a covector.
 
-        On folds the functions (2, N) are the third derivative along the null vector, which is 0 at cusps, and 1. On pitchforks they
-        are the product of the other eigenvalues, and this product times the fourth derivative. On limits of stability they are the second
-        derivative of the characteristic polynomial, which is 0 at cusps, and the product of the eigenvalues. The covector (N, 2) points
-        to the side of the curve with two more solutions, or with one more stable solution.
+        On folds the first function is the third derivative along the null vector, which is 0 at cusps, and the second is 1. On
+        pitchforks the functions are the product of the other eigenvalues, and this product times the fourth derivative. On limits
+        of stability the first is P''(s), which is 0 at cusps, or -1 at extrema of the momentum. The second is the product of the
+        eigenvalues. The covector (N, 2) points to the side with two more solutions, or with one more stable solution.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]

@@ -31,7 +31,7 @@ _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
 
 class Cell(Flag):
-    """Whether the numbers of equilibria at the corners of a cell of the coarse grid are explained."""
+    """Whether curves explain how the numbers of equilibria differ between the corners of a cell of the coarse grid."""
 
     COUNTED = (
         0,
@@ -63,7 +63,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
 
     def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-        """Return log F and L at the minima between poles and at the poles of absent components, (levels, N), and d and b."""
+        """Return log F and L, (levels, N), and d and b. Levels are the minima between poles, and the poles d_i where b_i is always 0."""
         d, b = np.moveaxis(potential.at(position)[0], -1, 1)
         b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
         b[absent] = 0.0
@@ -99,10 +99,10 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Return unknowns at solutions that may be degenerate within `reach`, unknowns near limits of stability, and counts.
+    """Return unknowns near degenerate solutions, unknowns near limits of stability, and numbers of solutions.
 
-    Nearly real solutions count as solutions that may be degenerate. The counts (2, bodies) are of all solutions and of
-    stable solutions. They are nan where a count is not certain.
+    To first order the degenerate solutions and the limits are within `reach`. Nearly real solutions are taken too. The numbers
+    (2, bodies) are of all solutions and of stable solutions. They are nan where the number of solutions is not certain.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -160,7 +160,7 @@ def all_curves(
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
-            # A curve of extremal momentum ends where the change of stable solutions across a pitchfork jumps, or runs close to it.
+            # Curves of extremal momentum end where the change of stable solutions across a pitchfork jumps, or run close to other curves.
             lines, ends = with_zeros(
                 lines,
                 lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
@@ -220,7 +220,7 @@ def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
-    """Return the lower Morse index beside segments, and how many more solutions are on their left than on their right.
+    """Return the number of eigenvalues that stay negative across a segment, and how many more solutions are left than right of it.
 
     The differences (2, segments) are of the numbers of all solutions and of stable solutions.
     """

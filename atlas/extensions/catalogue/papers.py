@@ -20,7 +20,7 @@ from ...systems.base import PublishedEquation, System
 
 Measure = Callable[[np.random.Generator], float]
 Entry = Mapping[str, Any]
-# Such a function maps (entry, reading, generator) to the residual of the equation in the reading "printed" or "true".
+# An EntryMeasure maps (entry, reading, generator) to the residual of the equation in the reading "printed" or "true".
 EntryMeasure = Callable[[Entry, str, np.random.Generator], float]
 
 TEXTS = ("number", "family", "printed", "true", "verdict", "measure", "effect")

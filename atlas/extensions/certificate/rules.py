@@ -57,7 +57,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the rates at the start are within the tolerance, as limits of the rates for all time require."""
+    """Whether the rates at the start are within the tolerance. If not, no limit within the tolerance holds for all time."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 

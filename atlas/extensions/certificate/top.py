@@ -86,7 +86,7 @@ def top_end(f, errors, sine2, x0, sign):
 
 
 def change_of_psi(which, over, other, constants):
-    """Return a y that may be an extremum of psi' or x psi', an end or a zero of the derivative, and the change of psi' at y."""
+    """Return a y where psi' or x psi' may be extremal, and the change of psi' there. y is an end, or the derivative vanishes at y."""
     a, S, A, sine2, x0, low, high = constants
     y = low if which == 0 else high
     if which > 1:

@@ -20,8 +20,8 @@ from . import homotopy
 
 _STARTS = 200  # number of random orientations from which the first search begins
 # Eigenvalues of the Hessian are compared with fractions of `_scale`. Two below `_FLAT` mean a surface of equilibria. One below
-# `_DEGENERATE` means a degenerate equilibrium. Below `_UNCERTAIN` rounding decides the sign, below `_UNCERTAIN_CIRCLE` the number of
-# equilibria on a circle. Below `_MISSED` the search may miss equilibria.
+# `_DEGENERATE` means a degenerate equilibrium. One below `_UNCERTAIN`, or on circles of equilibria below `_UNCERTAIN_CIRCLE`, makes
+# the number of equilibria uncertain. If one is below `_MISSED`, the search may miss equilibria.
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
 _ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria, as a fraction of `_scale`
 _SAME = 1e-4  # Rotation matrices count as equal if their distance is smaller.
@@ -91,8 +91,8 @@ def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dic
 def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
     """Return the order of equilibria by body, by potential as a fraction of `_scale`, and by alpha and gamma.
 
-    On a circle the means of alpha and gamma count. Potentials and components that differ by rounding alone count as equal, so that
-    rounding does not decide the order.
+    On a circle of equilibria the means of alpha and gamma decide. Potentials and components that differ by rounding alone count as
+    equal, so that rounding does not decide the order.
     """
     by_potential = np.lexsort((potential, body))
     steps = np.diff(potential[by_potential], prepend=0.0) > _SAME_POTENTIAL
@@ -170,12 +170,11 @@ def equilibria_of_bodies(
 ) -> dict[str, NDArray[Any]]:
     """Return all relative equilibria of many bodies, found on an orbit by homotopy continuation (see `homotopy`).
 
-    A secular equation gives the equilibria of bodies with an axis of symmetry, if moments are equal and components across 0 to the
-    last bit. A list is complete if two tests pass. The sum of (-1)^index must have the value of Poincare and Hopf, 0 on SO(3) and 2
-    on the sphere of an axis of symmetry. The sign of every eigenvalue of the Hessian must be certain. Near a symmetry this needs
-    moments that differ by 1e-12, and near a bifurcation solutions that are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION,
-    and solutions that merge are listed once, as degenerate. Bodies with A = B = C, without an orbit, or with a lost path are
-    searched one by one, in about 70 ms each.
+    A secular equation gives the equilibria of bodies whose symmetry about an axis is exact to the last bit. A list is complete if two
+    tests pass. The sum of (-1)^index must have the value of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of an axis of symmetry.
+    The sign of every eigenvalue of the Hessian must be certain. Near a symmetry this needs moments that differ by 1e-12, and near a
+    bifurcation solutions that are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and solutions that merge are listed once, as
+    degenerate. Bodies with A = B = C, without an orbit, or with a lost path are searched one by one, in about 70 ms each.
 
     `pause` is called at least once a second and may raise an exception. `stability` asks for the variables `STABILITY`. `ordered`,
     see `homotopy.solve`, adds attitudes near complex solutions, with index -1. The arrays (bodies, places) are in the order of the
@@ -336,8 +335,8 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
         gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])
-        # Least squares use the whole Jacobian, because a symmetry of the body makes one of its rows 0 everywhere. Newton's method
-        # across the circles then converges quadratically.
+        # A symmetry of the body makes one row of the Jacobian 0 everywhere. With least squares and the whole Jacobian, Newton's
+        # method across the circles of equilibria then converges quadratically.
         left, values, right = np.linalg.svd(hessian)
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)

@@ -96,10 +96,10 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
 
     Notes
     -----
-    Equilibria form circles where two moments are equal and rotor, magnet and drag have no component across, all to the last bit.
-    Near such a body all isolated equilibria are listed if moments differ by at least about 1e-12 (relative). With equal moments,
-    components across the axis must be at least about 1e-7. Nearer to such a body the number of equilibria is not certain, as within
-    about 1e-10 of a bifurcation, where solutions are closer than 1e-5.
+    Equilibria form circles where, to the last bit, two moments are equal and rotor, magnet and drag have no component across the
+    axis of symmetry. Near such a body all isolated equilibria are listed if moments differ by at least about 1e-12 (relative). With equal
+    moments, components across the axis must be at least about 1e-7. Nearer to such a body the number of equilibria is not certain.
+    The same holds within about 1e-10 of a bifurcation, where solutions are closer than 1e-5.
 
     10 000 satellites take about seven seconds of one processor, less with an axis of symmetry. A single satellite near a symmetry
     or a bifurcation takes up to 0.2 seconds.

@@ -43,12 +43,12 @@ _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
 # A path goes to infinity if a component exceeds `_FAR` at t > `_FAR_FROM`. The body then has fewer than 24 solutions.
 _FAR, _FAR_FROM = 100.0, 0.99
-_STRIDE = 5  # Paths are followed for one of this many neighbouring bodies.
+_STRIDE = 5  # `_ends_of_neighbours` follows paths for one body out of this many.
 _GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at the end of a path
 # A solution with imaginary parts below `_REAL` is real. Imaginary parts between `_REAL` and `_DISTINCT`, or distances of solutions
 # below `_DISTINCT`, leave the number of real solutions uncertain.
 _REAL, _DISTINCT = 1e-9, 1e-5
-_MERGED = 1e-4  # If the number is uncertain, closer solutions count as one, smaller imaginary parts as 0.
+_MERGED = 1e-4  # If this number is uncertain, closer solutions count as one, and smaller imaginary parts count as 0.
 _NEARLY_REAL = 1.0  # largest imaginary part of a solution that counts as nearly real
 
 
@@ -60,8 +60,8 @@ def solve(
     If neighbouring bodies are similar, `ordered` lets Newton's method start from the complex solutions of a neighbour. The results
     alpha and gamma (3, 24, bodies) are unit vectors at real critical points, and real parts elsewhere. The masks `real` and `nearly`
     (24, bodies) choose the real solutions, and one of each pair of nearly real conjugates. `complete` (bodies,) tells whether every path
-    ends at infinity or at its own solution, which is clearly real or clearly not. Otherwise one of several merged solutions counts
-    as real, and none if a path is lost.
+    ends at infinity or at its own solution, which is clearly real or clearly not. For other bodies `real` chooses one of
+    several merged solutions, and no solution if a path is lost.
     """
     inertia = inertia - inertia.mean(0)
     sizes = [np.abs(vector).max(0) for vector in (inertia, p, r, q)]

@@ -236,7 +236,7 @@ class _Mechanics:
         return matrix
 
     def right_side(self, matrix: list[list[Expression]]) -> list[Expression]:
-        """Return f of M v' = f, in the shorter of two forms. The Lagrangian is as given, or by powers of the velocities."""
+        """Return f of M v' = f. Each component has the simpler of two forms, from the given Lagrangian and from `_by_powers`."""
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
         total = self.total_forces()
         result = []
@@ -371,7 +371,7 @@ def _expression(name: str, value: Any, allowed: set[Expression]) -> Expression:
 
 
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three complex points. Every root and logarithm of complex numbers exists."""
+    """Whether the determinant vanishes at three complex points, where every root and every logarithm exists."""
     import mpmath
     import sympy
 
@@ -406,7 +406,7 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """Return numbers of multiple angles and tangents, functions, operations with repeated parts once, and all operations."""
+    """Return the numbers of tangents and multiple angles, of functions, of operations if repeated parts count once, and of operations."""
     import sympy
 
     functions, multiples = expression.atoms(sympy.Function), 0

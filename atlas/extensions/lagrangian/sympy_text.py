@@ -83,7 +83,7 @@ def function_text(
 ) -> str:
     """Return the source of a function of an expression, or of a tuple of expressions. Repeated parts get names.
 
-    An expression without states gets the shape of its symbol in `shapes`, by the term 0.0 * symbol.
+    If an expression contains no state, the term 0.0 * symbol with a symbol from `shapes` gives the value the shape of a state.
     """
     import sympy
 

@@ -28,7 +28,7 @@ from ...measure.instrument import Variable
 from ...scene.model import Scene
 from ...systems.base import Array, families_of
 
-CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # classes beside curves of theory
+CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # each gives the side of a curve
 # Variable that changes at curves of theory -> frame of the curves.
 FRAMES = dict.fromkeys(("label", "predicted", "stable", "stability_kind"), "")
 FRAMES |= dict.fromkeys(("label_inertial", "predicted_inertial"), IN_SPACE)
@@ -120,7 +120,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """Return the nearest place below (`side` -1) or above (`side` 1) `value`, or nan. None stands for each sample."""
+    """Return the nearest place below (`side` -1) or above (`side` 1) `value`, or nan. If `value` is None, do so for each sample."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:
@@ -129,7 +129,7 @@ def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
 
 
 def _curves(scene: Scene, line: xr.DataArray, axis: str, frame: str, index: tuple[np.ndarray, ...]) -> Array:
-    """Return the values of `axis` where a border of theory runs between the points `index` and the points before, or nan."""
+    """Return the values of `axis` where a border of theory runs between the points `index` and the previous points, or nan."""
     whole = {
         dim: line[dim].values[index[line.dims.index(dim)]]
         if dim in line.dims

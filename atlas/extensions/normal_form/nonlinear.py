@@ -155,7 +155,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
     """Return verdicts of the normal form (points,), and c20, c11, c02 and D in units of 1 / moment (4, points), nan without a form.
 
-    With fewer than two degrees of freedom the energy decides, and the verdict is degenerate. With more it is undecided.
+    With fewer than two degrees of freedom the energy decides, and the verdict is degenerate. With more than two the verdict is undecided.
     """
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
@@ -215,7 +215,7 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Return derivatives at 0 of the terms of H (monomials, terms), and for each order the monomials of the derivatives."""
+    """Return derivatives of the terms of H at 0, (monomials, terms), and the row of each derivative of order 2, 3 and 4."""
     from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
@@ -294,7 +294,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return the terms of {H3, chi} / 2, as rows of indices a, b, c, e, d, factors, and the first term of each of `_MONOMIALS`.
+    """Return the terms of {H3, chi} / 2: rows of indices a, b, c, e and d; factors; and the first term of each of `_MONOMIALS`.
 
     A term is factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d), with third derivatives t by zeta and the conjugate zeta_d*.
     """

@@ -406,7 +406,7 @@ def float_array(values: np.ndarray) -> np.ndarray:
 
 
 MAX_POINTS = 120_000
-# Largest size of the numbers before compression, and nearly so in the page, because base64 adds what compression removes.
+# Largest size of the numbers before compression. The size in the page is nearly the same: base64 adds what compression removes.
 MAX_BYTES = 12_000_000
 
 

@@ -1,8 +1,8 @@
 """The flow of one body, and the growth of small changes of its states.
 
-A change of a state has three components of the angular velocity w, divided by `Flow.rate`, and three of the attitude: a rotation
-eta, dv = v x eta, if the state has two directions v of the frame, or else d gamma. If the body is symmetric about its third axis, a
-motion turned by R(chi) about this axis is a motion too. R(chi) turns the components 1 and 2 of w, of directions and of eta.
+A change of a state has three components of the angular velocity w, divided by `Flow.rate`, and three of the attitude. The last three
+are a rotation eta with dv = v x eta if the state has two directions v of the frame, else d gamma. If the third axis is an axis of
+symmetry, a motion turned by R(chi) about this axis is a motion too. R(chi) turns the components 1 and 2 of w, of directions and of eta.
 """
 
 from __future__ import annotations

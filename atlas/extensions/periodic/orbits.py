@@ -22,7 +22,8 @@ ROUNDING = 1e-6  # parts of exponents below this fraction of the frequency bound
 # Newton's method makes at most NEWTON steps and fails at a step above TOO_FAR. It has converged at a step below CONVERGED, or at a
 # step below STALLED that hardly shrinks any more.
 NEWTON, CONVERGED, STALLED, TOO_FAR = 8, 1e-12, 1e-9, 3.0
-# A nearly singular orbit is accepted if errors are below CLOSED and the step is below ROUNDED. `_solve` needs SINGULAR.
+# A nearly singular orbit is accepted if errors are below CLOSED and the step is below ROUNDED. A matrix is singular
+# if its QR factor has a diagonal element below SINGULAR times the largest.
 CLOSED, ROUNDED, SINGULAR = 1e-13, 1e-6, 1e-14
 # Multipliers above LARGE take digits from the others. The others are computed alone if they are smaller by the factor SEPARATE.
 LARGE, SEPARATE = 1e6, 1e4
@@ -177,7 +178,7 @@ class Family:
         return None
 
     def steady_state(self, orbit: Orbit, place: int) -> Array | None:
-        """Return the steady motion near state `place` of `orbit`, or None. It is found as one that closes after a short time."""
+        """Return the steady motion near state `place` of `orbit`, or None. Newton's method finds it as a motion of short period."""
         time = 0.5 / orbit.bound
         chi = orbit.chi * time / orbit.period
         short = replace(orbit, states=orbit.states[place : place + 1], period=time, chi=chi)

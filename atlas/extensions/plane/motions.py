@@ -71,7 +71,7 @@ class PlaneMotions(NamedTuple):
     gradient: Array
     field: Array  # h
     frame: Array  # angular velocity along e3 of a body at rest in the frame
-    symmetric: Mask  # whether the first or second axis is an axis of symmetry, so that one rho is 2
+    symmetric: Mask  # whether the first or second axis is an axis of symmetry, so that two multipliers are 1
     rotates: Mask
     frequency: Array  # f, which has the sign of x' in a rotation
     modulus: Array  # k^2
@@ -192,7 +192,7 @@ class PlaneMotions(NamedTuple):
         return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
 
     def multipliers(self) -> tuple[Array, Array]:
-        """Return t and s of rho^2 - t rho + s - 2 = 0 over the period."""
+        """Return t and s of rho^2 - t rho + s - 2 = 0 over the period, where rho = multiplier + 1/multiplier."""
         t, s, log_scale = self._over_period(*self.multiplier_sums(_FINE)[:3])
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
@@ -206,7 +206,7 @@ class PlaneMotions(NamedTuple):
     def multiplier_sums(self, steps: _Steps) -> Array:
         """Return t / exp(s), u / exp(2 s), s, and the changes of the first two without the longest steps, (5, points), nan if unknown.
 
-        t is the trace of the matrix over a libration or half a turn, and u the second coefficient of the characteristic polynomial.
+        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and exp(s) a unit.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))

@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """Return the row of a number. It agrees if off by at most half a unit of its last digit, or one unit of the last digit shown."""
+    """Return the row of a number. It agrees within half a unit of the last printed digit, or one unit of the last digit of `ours`."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),

@@ -132,7 +132,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """Return the extremum of cubics on [0, 1] that is nearest to the axis, whether to cut there, and an approximate zero."""
+    """Return, for cubics on [0, 1], the extremum nearest to the axis, whether to cut there, and an approximate zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])

@@ -99,7 +99,7 @@ def _passages(
 def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array) -> dict[str, ArrayLike]:
     """Return columns of the same motions that start earlier by the time `before`, or later if `before` is negative.
 
-    `columns` are parameters and start values by name, and the defaults of the system for other names. psi0 has no effect on the motion.
+    `columns` maps names to parameters and start values. Other names have the defaults of the system. psi0 has no effect on the motion.
     The returned columns have other theta0, phi0, theta_dot0, n and m.
     """
     from scipy.integrate import solve_ivp

@@ -325,7 +325,7 @@ def writable(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise BadInput if `path` is a file of numbers that may not be an atlas, or a path that NetCDF cannot open."""
+    """Raise BadInput if `path` is a file of numbers that is not known to be an atlas, or a path that NetCDF cannot open."""
     from .hdf5 import SIGNATURES, check_path, is_own, locked_text  # few processes need this import
 
     if path.suffix.lower() == ".nc":

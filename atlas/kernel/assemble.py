@@ -58,7 +58,7 @@ def reachable(
 
 
 def file_of(of: ModuleType) -> str:
-    """Return the name of a kernel module without the package. Names are compared so that no other kernel is imported."""
+    """Return the name of a kernel module without the package. Comparing names needs no import of another kernel."""
     return of.__name__.rpartition(".")[2]
 
 
@@ -241,7 +241,7 @@ def _observable_functions(
     changes, values, slopes, lines = dict[str, str](), [], [], []
 
     def value(name: str) -> str:
-        """Return an expression for an observable. A function of the observable moves from `sources` to `changes`."""
+        """Return an expression for an observable. A function in `sources` that computes the observable moves to `changes`."""
         if name not in sources:
             return f"state[{list(equations.STATE).index(name)}]"
         changes[f"observable_{name}"] = sources.pop(name).replace(

@@ -61,7 +61,7 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
 def with_frame_vector(equations: ModuleType) -> ModuleType:
     """Return the equations with a function `axis_in_frame`. Equations without a frame are returned unchanged.
 
-    If the function is missing, three additional states x hold the first axis of the frame in body axes. They obey x' = x x u
+    If the function is missing, three additional states a hold the first axis of the frame in body axes. They obey a' = a x u
     with the angular velocity u from ``frame_motion``. Unlike psi, these states are regular everywhere.
     """
     sources = arithmetic.functions(equations)
@@ -102,7 +102,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """Return functions with new states, whose units contain `powers` of a rate. An integral gets the loss as another term."""
+    """Return functions with new states, whose units contain `powers` of a rate. A first integral gets its loss as another term."""
     scaled, unscaled = sources["scaled"], sources["unscaled"]
     extended = {}
     for name, text in sources.items():

@@ -86,7 +86,7 @@ class Arrays(NamedTuple):
     given: Array  # constants of the plugged instruments, (kernel.PLUGGED_GIVEN, points)
     rule: Quadrature | EndWeights
     cylinder_squared: float  # square of the radius of the cylinder, rad^2
-    resume: Array  # last four nodes, and first integrals at the start, between calls, (rows, points)
+    resume: Array  # kept between calls: last four nodes, and first integrals at the start, (rows, points)
     sums: Array  # output of the kernel, (kernel.SUMS, points)
 
 

@@ -190,9 +190,9 @@ class Ensemble:
     ) -> NDArray[np.int64]:
         """Integrate in SEGMENTS, and return the number of nodes that each point reaches.
 
-        All weights are positive, so that the sum of theta'^2 only grows. A point drifts if the sum exceeds the limit of the whole
-        run, and if the axis was so far outside the cylinder that a return would change theta. The correction of a passage near
-        the vertical removes at most one sample. Whole runs have the same bits as in a single call.
+        All weights are positive, so that the sum of theta'^2 only grows. (The correction of a passage near the vertical removes at
+        most one sample.) A point drifts if the sum exceeds the limit of the whole run, and if sin theta was above twice the radius
+        of the cylinder. A return would change theta by more than the radius. Whole runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):

@@ -136,7 +136,7 @@ def sample_weights(samples, j, spacing):
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     """Integrate blocks from `first_node` up to but without `last_node`, both of shape (blocks,).
 
-    A run from node 0 to node steps / steps_per_sample may take several calls, with the same bits. The rule is a `Quadrature`.
+    A run from node 0 to node steps / steps_per_sample may take several calls, with the same bits. `arrays.rule` is a `Quadrature`.
     """
     full_vectors()
     points, steps, steps_per_sample = schedule
@@ -425,7 +425,7 @@ def zeros(passages, terms, farther, count):
 
 
 def collect_farther(passages, farther, places, count):
-    """Copy passages whose farther zero may be near to `farther`, and return the number rounded up to a multiple of 8."""
+    """Copy into `farther` all passages whose farther zero may be near. Return the number rounded up to a multiple of 8."""
     number = 0
     for e in range(count):
         if passages[Passage.FARTHER, e] > 0.0:

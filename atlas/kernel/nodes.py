@@ -18,7 +18,7 @@ from .lanes import advance, load_points
 
 
 def integrate(schedule, arrays, first_block, last_block):
-    """Write states and derivatives at the start and at equidistant nodes. Derivatives are by the kernel's unit of time."""
+    """Write states and derivatives at the start and at equidistant nodes. The derivatives use the kernel's unit of time."""
     full_vectors()
     points, steps, _ = schedule
     step_size, state0, constants0, scales, states, derivatives = arrays

@@ -118,8 +118,8 @@ def _largest_frequency(
 ) -> Array:
     """Return the largest frequency up to the first sample that exceeds the bound, or inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
-    # A state whose rate depends on no state is time. Without time the Jacobian shows every frequency, and the derivatives would be
-    # rounding errors on steady motions.
+    # A state whose rate depends on no state is time. If no state is time, the Jacobian shows every frequency. The derivatives are
+    # then ignored, because on steady motions they are rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
     sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitude of each state and derivative

@@ -49,7 +49,7 @@ class Field(IntEnum):
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks over a range of nodes, as `integrate.integrate` does. The rule is a `sampling.EndWeights`."""
+    """Integrate blocks over a range of nodes, as `integrate.integrate` does. `arrays.rule` is a `sampling.EndWeights`."""
     full_vectors()
     points, steps, steps_per_node = schedule
     step_size, state0, constants0, scales, given0, rule, cylinder_squared, resume, out = arrays

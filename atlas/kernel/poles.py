@@ -50,9 +50,9 @@ class Term(IntEnum):
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
-    """Return 1.0 if sin^2 theta has a minimum near a zero of zeta between two nodes, else 0.0, and the place of the minimum.
+    """Return 1.0 if sin^2 theta has a minimum between two nodes and near a zero of zeta, else 0.0, and the place of the minimum.
 
-    Slopes are half the derivative of sin^2 theta. The parabola with these values must have a zero within REACH of the real axis.
+    Slopes are half the derivative of sin^2 theta. The parabola through these data must have a zero within REACH of the real axis.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -241,7 +241,7 @@ TURN_ROWS = max(Turn) + 1
 def turns_twice(f0, f1, s0, s1, rounding):
     """Return 1.0 if a cubic with slopes of equal sign at 0 and 1 has two extremes in between, else 0.0.
 
-    The values are f0 and f1, the slopes s0 and s1. A cubic may start at rest and turn back once. Changes below `rounding` are ignored.
+    The values are f0 and f1, the slopes s0 and s1. An extreme at 0 or 1 may be one of them. Changes below `rounding` are ignored.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)
@@ -250,7 +250,7 @@ def turns_twice(f0, f1, s0, s1, rounding):
 
 
 def place_of_turn(f0, f1, s0, s1):
-    """Return the place of the extreme of a cubic between 0 and 1. Of two extremes, take the one farther from 0 and 1."""
+    """Return the place of the extreme of a cubic between 0 and 1. Of two extremes, take the one nearer to 0.5."""
     a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic at x is a x^2 + b x + s0
     b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))

@@ -6,7 +6,7 @@ from .generated import STATES, frame_motion, load_constants, load_state, rhs, st
 
 
 def integrate(path, constants, duration, first, cylinder, slopes):
-    """Write the derivatives of a path by t / duration. Columns of the path are points; rows are the states, then the sums."""
+    """Write the derivatives of a path with respect to t / duration. Columns are points; rows are the states, then the sums."""
     for p in range(path.shape[1]):
         state, c = load_state(path, p), load_constants(constants, p)
         store_state(slopes, p, rhs(state, c))

@@ -23,7 +23,7 @@ from ...scene.model import Scene
 from ...store import dataset
 from ...store.progress import Progress
 
-# Setting -> factors that count in `label_change`. The table has the other FACTORS as well.
+# Setting -> factors at which `label_change` compares flags. The table has rows for the other FACTORS as well.
 VARIED = {
     "duration": (2.0, 4.0), "transient": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5),
 }  # fmt: skip
@@ -110,7 +110,7 @@ def _times(factor: float, amount: float | str) -> float | str:
 
 
 def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row of HEAD for each flag, setting and factor, with the points that change and the most frequent changes."""
+    """Return a row of HEAD for each flag, setting and factor, with the number of changed points and the most frequent changes."""
     result = list[tuple[str, ...]]()
     for name in VARIED:
         for flag in (flag for flag in FLAGS if f"{flag}_of_{name}" in ds):

@@ -77,7 +77,7 @@ class SymmetricTop:
         self.frame_rate = frame_rate
         theta0, theta_dot0, n, m = start
         n = n + frame_rate
-        # These are 1 - u and 1 + u at the start, exchanged where the weight pulls the axis upwards.
+        # These are 1 - u and 1 + u at the start. They are exchanged below if the weight is negative.
         low, high = 2 * np.sin(theta0 / 2) ** 2, 2 * np.cos(theta0 / 2) ** 2
         self.spin = m + n * np.cos(theta0)
         self.a = (C * self.spin + rotor) / A
@@ -90,7 +90,7 @@ class SymmetricTop:
         beta = 2 * abs(weight) / A
         kinetic = theta_dot0**2 + n**2 * low * high
         self._find_range(beta, kinetic, low, high, a, upper, lower)
-        # theta' sin theta = slope gives the phase of the start, which is exact if the slope is 0.
+        # The slope theta' sin theta gives the phase of the start. The phase is exact if the slope is 0.
         above, below = max(low - self.x, 0.0), max(high - self.y, 0.0)
         sn, cn = np.sqrt(above / self.width), np.sqrt(below / self.width)
         dn = np.sqrt(cn**2 + self.complement * sn**2)
@@ -340,8 +340,8 @@ def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Po
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
 
 
-# An interval of the quadrature is halved until its sum changes by at most QUADRATURE_RTOL times the whole integral. No motion needs
-# MAX_INTERVALS intervals.
+# An interval of the quadrature is halved until its sum changes by at most QUADRATURE_RTOL times the scale of the integral over the
+# run. No motion needs MAX_INTERVALS intervals.
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 

@@ -49,14 +49,14 @@ class Reference:
     """Reference solution of some points, with the uncertainty of the solution."""
 
     state: Array  # state at the end of the run, (states, points)
-    # Statistics of the main instrument, "sine_max" and "outside". Statistics of psi' and phi' are NaN inside the cylinder.
+    # Statistics of the main instrument, also "sine_max" and "outside". Statistics of psi' and phi' are NaN inside the cylinder.
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
     exact: Mask  # true where the closed form of a family is used
     state_error: Array  # uncertainty of the state, measured by `state_distance`
     statistics_error: dict[str, Array]  # uncertainty of each statistic, in the units of the statistic
-    label_certain: Mask  # whether both runs give the same labels
+    label_certain: Mask  # whether a second solution gives the same labels
 
 
 class ReferenceFailure(BadInput):
@@ -332,7 +332,7 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    if periods is not None:  # strobed observables count only where a period of the point ends
+    if periods is not None:  # strobed observables are evaluated only where a period of the point ends
         times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
         place = times * periods[:, None]
         path = solve_ivp(

@@ -224,7 +224,7 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Return a mask of the resolved exact motions with a statistic whose error exceeds ten times `error_estimate`."""
+    """Return a mask of resolved runs along exact motions in which the error of a statistic exceeds ten times `error_estimate`."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_has_estimate(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
@@ -262,7 +262,7 @@ def report(ds: xr.Dataset) -> str:
         conditions = [is_wrong, is_left_out, is_unresolved & is_right, is_unresolved]
         signs = np.select(conditions, ["X", "-", "u", "U"], ".")
         rows.append((str(case), str(part.sizes["point"]), truth, source, *map("".join, signs)))
-    # At each level, count the right labels with an accurate unsteadiness and those with a known error of the unsteadiness.
+    # At each level, count the right labels with an accurate unsteadiness, and the right labels whose unsteadiness is known.
     accuracy = []
     for name, verdict, error in zip(
         ds["method"].values, ds["verdict"].values, ds["error"].values, strict=True
@@ -346,7 +346,7 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """Return cases that vary one parameter each: the default times powers of 10, the bounds, and a huge value."""
+    """Return cases that vary one parameter each: the default times powers of 10, values from bound to bound, and a huge value."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:
@@ -381,7 +381,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 def generic_true_labels(
     system: System, points: Points, duration: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
-    """Return the labels that the reference gives, UNRESOLVED after an overflow, and a mask of the points with a known label."""
+    """Return labels by the reference, or UNRESOLVED after an overflow. Also return a mask of the points with a known label."""
     size = duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)

@@ -65,7 +65,7 @@ class CasePoints:
 
     name: str
     points: Points
-    base: Points  # the points before the additions of the case
+    base: Points  # the points before `StressCase.additions` are added
     duration: Array  # time units
     names: np.ndarray  # names of the points, made of the values that vary within the case
     may_stay_unresolved: str
@@ -83,7 +83,7 @@ class CasePoints:
 
 
 def case_points(system: System, case: StressCase) -> CasePoints:
-    """Return the points of a case. `solve` puts the points on a family before the additions are made."""
+    """Return the points of a case. `case.solve` puts the points on a family, and then `case.additions` are added."""
     varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
     size = max((values.size for values in varying.values()), default=1)
     points, _ = point_columns(
@@ -196,7 +196,7 @@ def _departures(
 
     The runs are integrated as one system in the time t / duration. The state is x + e d, where x is the equilibrium and e the
     size of the offset. The right-hand side is quadratic in the state and vanishes at x, so that d' = J d + e Q(d) with the
-    Jacobian J and the quadratic part Q. This has no cancellation for any e.
+    Jacobian J and the quadratic part Q. This equation loses no digits, however small e is.
     """
     rhs, size, wide = system.equations.rhs, np.abs(offset).max(0), tuple(constants[:, None])
 
@@ -251,8 +251,8 @@ def _labels_by_reference(
 ) -> tuple[TrueLabels, Mask]:
     """Return labels by the reference integrator, and a mask of the points that remain undecided.
 
-    phi' of the despun points exceeds the true phi' by `excess`. Only a part of a long run is integrated. If the part exceeds
-    the tolerance by the factor sqrt(whole / part), the whole run drifts.
+    phi' of the despun points exceeds the true phi' by `excess`. Only a part of a long run is integrated. If an rms or
+    standard deviation over the part exceeds the tolerance by the factor sqrt(whole / part), the whole run drifts.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

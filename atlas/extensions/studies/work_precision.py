@@ -176,7 +176,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     step_sizes = [each.after(np.asarray(part.transient), part.duration) for each in step_sizes]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
-    # Of levels with equal numbers of steps only one is run: the scene's own level, or else the finest, if it does not take too long.
+    # Of levels with the same steps only one is run: the scene's own or else the finest. Levels with too many steps are left out.
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]

@@ -71,7 +71,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the amount by which a true motion exceeds the printed limits, or for the true reading the residual."""
+    """Return by how much a true motion exceeds the printed limits. For the true reading, return the residual of the motion."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)
@@ -280,7 +280,7 @@ def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return 10 minus the rank of ten equations (36) in the coefficients of even i and of odd i, for an irrational n/m."""
+    """Return 10 minus the rank of equations (36), i = 1 to 10, for an irrational n/m. Even and odd i have different unknowns."""
     i = np.arange(1, 11)
     x = np.pi * i * np.sqrt(2) * (1 + rng.integers(1, 4))
     waves = np.array([np.cos(2 * x), np.sin(2 * x), np.cos(x), np.sin(x), np.ones(10)])

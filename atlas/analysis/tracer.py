@@ -118,7 +118,7 @@ def narrowed_lines(
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
     """Return lines that separate samples above a level from other samples, and the two samples beside each vertex.
 
-    Both are given as indices (vertices, axes). Vertices are found by trisection. A stretch that is not straight within FLATNESS
+    Lines and samples are indices (vertices, axes). Trisection finds vertices. A stretch that is not straight within FLATNESS
     is halved, and only the ends of stretches are vertices.
     """
     lines = lines_at(values, level)

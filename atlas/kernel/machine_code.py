@@ -269,7 +269,7 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
             trees = (definitions[each].tree for each in sorted(needed))
             shared = f"atlas_function_{name}_{_hash(trees, environment)}"
             names.append(shared)
-            # Numba finds the globals of cached code by the name of a module. The module of this kernel may not be loaded then.
+            # Numba finds globals of cached code by a module's name. A later process may lack the module of this kernel.
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))
             function._cache = _MachineCode(shared)

@@ -2,8 +2,8 @@
 
 The frequency of the Jacobian at the start (`systems.jacobian`) is often too low, because a motion may begin slowly. A
 preliminary run with the longest possible steps therefore samples the frequency. If the frequency grows, the run is repeated
-with a larger bound. Powers of the Jacobian do not show a forcing by time, because time is a state. The derivatives of the states
-along the run show the forcing. The result of a point does not depend on other points.
+with a larger bound. The Jacobian does not show the frequency of a forcing, because time is a state of constant rate; derivatives
+of the states along the run do. The result of a point does not depend on other points.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The error of one point in POINTS_PER_HALF_STEP is measured if check_half_step = "sample".
 POINTS_PER_HALF_STEP = 64
-# Largest relative change of a statistic with the step size. The error may be ten times the change, as both runs may err alike.
+# Accepted relative change of a statistic between two step sizes. The error may be ten times larger if both runs err alike.
 LARGEST_CHANGE = 0.01
 
 

@@ -157,7 +157,7 @@ def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """Return time and memory of the largest job, and SLURM lines for twice both. `expected` is for `measured` processors."""
+    """Return time and memory of the largest job, and twice that for SLURM. `expected` is a cost on `measured` processors."""
     tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)

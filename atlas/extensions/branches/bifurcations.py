@@ -294,7 +294,7 @@ class Branches(NamedTuple):
 
 
 def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:
-    """Return the branches of all solutions over increasing values, (values,). Branches end between values of different `part`."""
+    """Return the branches of all solutions over increasing `values`. No branch joins values whose numbers in `part` differ."""
     nodes, listed = solutions_at(family, values, stability)
     usable = np.flatnonzero(nodes.usable)
     pending = np.stack([usable[:-1], usable[1:]], 1)

@@ -79,7 +79,7 @@ class Borders(NamedTuple):
     lines: list[Curve]
     morse_index: NDArray[
         np.int64
-    ]  # the lower of the Morse indices on the two sides, between each vertex and the next
+    ]  # lower Morse index of the two sides of the curve, between each vertex and the next
     changes: Array  # numbers of all and of stable solutions, on the left of the curve minus on the right, (2, vertices)
     axis: Array  # positions along each side of the grid on which equilibria are counted
     cells: NDArray[np.int8]

@@ -91,7 +91,7 @@ class Potential(NamedTuple):
     axis: int  # axis of symmetry that all bodies have, -1 if there is none
     upright: bool  # whether nothing acts along alpha and beta
     mirrored: bool  # whether alpha -> -alpha leaves all potentials the same
-    # Chebyshev coefficients of what `_linear` returns, and of the derivatives by both parameters, (a, b, 81).
+    # Chebyshev coefficients of `_linear` (27 numbers) and its derivatives by both parameters, (a, b, 81).
     bodies: Array
 
     @classmethod

@@ -124,7 +124,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
 
 def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
-    """Broadcast an array over some dimensions of the points to all dimensions. `sizes` maps dimensions, in order, to sizes."""
+    """Broadcast an array with some dimensions of the points to all dimensions. `sizes` maps dimensions, in order, to sizes."""
     whole = array.expand_dims({dim: size for dim, size in sizes.items() if dim not in array.dims})
     return np.asarray(whole.transpose(*sizes).values)
 

@@ -44,9 +44,7 @@ class Atlas(Questions):
 
     def __repr__(self) -> str:
         """Return one line for each method, with its name and the first line of its docstring."""
-        own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
-        methods = own | {name: load("questions", name) for name in parts("questions")}
-        rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
+        rows = [(f"ds.atlas.{name}()", each.__doc__.partition("\n")[0]) for name, each in questions().items()]
         return text_table(rows)
 
     @takes_map_options
@@ -456,3 +454,9 @@ class Atlas(Questions):
         from .analysis.citation import cite
 
         return cite(self._ds, bibtex)
+
+
+def questions() -> dict[str, Any]:
+    """Return the methods of `ds.atlas` by name, first those of the core, then those of extensions."""
+    own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
+    return own | {name: load("questions", name) for name in parts("questions")}

@@ -287,8 +287,9 @@ def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> 
     every = proofs_of_labels(system)
     wanted = {proof for label, proof in every.items() if label in outputs}
     if not wanted:
-        name_one = f"name {' or '.join(every)} in outputs.variables"
-        labels = name_one if every else "no installed extension proves its labels"
+        labels = "no installed extension proves its labels"
+        if every:
+            labels = f"name {' or '.join(every)} in outputs.variables"
         raise BadInput(
             f"integration.prove = true: no label of the {system.name} can be proved here; {labels}"
         )

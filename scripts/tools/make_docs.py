@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from atlas.analysis.latex import FUNCTIONS, NAME, NAMES, SIGNS, TOKEN, in_latex
+from atlas.analysis.latex import FUNCTIONS
 from atlas.extensions.catalogue import tables as catalogue
+from atlas.extensions.catalogue.latex import NAME, NAMES, SIGNS, TOKEN, in_latex
 from atlas.extensions.catalogue.papers import published_numbers
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.systems import SYSTEMS

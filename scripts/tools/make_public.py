@@ -19,7 +19,7 @@ from typing import Any
 
 import atlas
 from atlas import extension, flags, systems
-from atlas.accessor import Atlas
+from atlas.accessor import questions
 from atlas.cli import parser
 from atlas.scene.model import Settings
 from atlas.scene.schema import scene_schema
@@ -38,12 +38,6 @@ def parameters(value: object) -> list[str]:
     if isinstance(value, type) or not callable(value):
         return []
     return [name for name in inspect.signature(value).parameters if name not in ("self", "ds")]
-
-
-def questions() -> dict[str, object]:
-    """Methods of `ds.atlas`."""
-    own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
-    return own | {name: extension.load("questions", name) for name in extension.parts("questions")}
 
 
 def commands() -> dict[str, list[str]]:

@@ -74,7 +74,7 @@ def print_conditions(options: argparse.Namespace) -> None:
         return
     rows = published_numbers(system) if options.published else published() if options.errata else families
     if out:
-        from ...analysis.latex import latex_table
+        from .latex import latex_table
 
         columns = PAPER[next(iter(rows[0]))] if rows else {"family": "family"}
         with atomic_write(out) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:

@@ -20,9 +20,9 @@ from strategies import (
 )
 
 from atlas import BadInput, conditions, load_scene, systems
-from atlas.analysis.latex import latex_table
 from atlas.cli import main
 from atlas.extensions.catalogue import tables as catalogue
+from atlas.extensions.catalogue.latex import latex_table
 from atlas.flags import Stability
 from atlas.scene import grid
 from atlas.systems.base import families_of, on_family

@@ -20,7 +20,8 @@ from .errors import BadInput, one_line
 MAX_NAMES = 2000  # largest number of variables and groups of a file
 MAX_CHUNK_BYTES = 1 << 26  # a chunk that is larger than its array may have this many bytes
 SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # first bytes of NetCDF 4 and of the earlier formats
-OWN = b"atlas_version", b"checksums"  # attribute of every atlas, group of every atlas of version 0.1.0
+# Attribute of every atlas, group of every atlas of versions before 0.1.0.
+OWN = b"atlas_version", b"checksums"
 
 
 def locked_text(path: Path | str) -> str:

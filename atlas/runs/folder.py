@@ -91,7 +91,7 @@ def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
     if isinstance(place, Path):
         check_name(place)
     if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and format_of(place).stamp(place) is None:
-        RunFolder.open(place)  # raises BadInput for an unfinished store of version 0.1.0
+        RunFolder.open(place)  # raises BadInput for an unfinished store of a version before 0.1.0
     is_run = str(out).endswith("/") or MANIFEST in place_at(place).names()
     if isinstance(place, str):
         if finished.is_store(place):

@@ -98,7 +98,7 @@ class RunFolder:
         try:
             try:
                 manifest = files.parsed(place.read(MANIFEST), is_sealed=True)
-            except FileNotFoundError:  # Version 0.1.0 wrote the run into the group `atlas` of the store.
+            except FileNotFoundError:  # Versions before 0.1.0 wrote the run into the group `atlas`.
                 manifest = files.parsed(place.read(f"atlas/{MANIFEST}"), is_sealed=True)
         except FileNotFoundError:
             if ".zgroup" in place.names():

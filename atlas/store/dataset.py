@@ -27,7 +27,7 @@ HISTORY = "atlas_history"  # numbers of points taken from each earlier atlas
 HASH = "atlas_sha256"  # hash of the content of a finished atlas, which is written last
 VERSION = "atlas_version"
 TRANSIENT = "atlas_transient"  # missing if there is no transient
-EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
+EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # in stores of versions before 0.1.0
 # A parameter with more values than this is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000
 Box: TypeAlias = tuple[slice, ...]

@@ -122,7 +122,7 @@ def periodic(
     Raises
     ------
     BadInput
-        If the start is no steady motion, has no such frequency, or no family is born; for several bodies, only if all fail.
+        If the start is no steady motion, has no such frequency, or Lyapunov's theorem gives no family; for several bodies, only if all fail.
 
     Notes
     -----
@@ -212,10 +212,10 @@ def _families(
     result, refused = [], ""
     for k in places:
         others = np.delete(found, k) / found[k]
-        # Lyapunov's theorem promises no family if another frequency is equal or twice as large.
+        # Lyapunov's theorem gives no family if another frequency is equal or twice as large.
         ratios = [n for n in (2, 1) if (np.abs(others - n) < RESONANT).any()]
         if ratios:
-            refused = f"frequency = {found[k]:.9g}: no family is born, another frequency is {ratios[0]} times as large"
+            refused = f"frequency = {found[k]:.9g}: Lyapunov's theorem gives no family, another frequency is {ratios[0]} times as large"
             continue
         flow = copy.copy(flow)
         flow.rate = max(abs(float(flow.body.turn[0])), float(size), found[k])

@@ -204,9 +204,9 @@ class PlaneMotions(NamedTuple):
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """Return t / exp(s), u / exp(2 s), s, and the changes of the first two without the longest steps, (5, points), nan if unknown.
+        """Return t / c, u / c^2, log(c), and the changes of the first two without the longest steps, (5, points), nan if unknown.
 
-        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and exp(s) a unit.
+        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and c a scale.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))

@@ -267,7 +267,7 @@ class Atlas(Questions):
         return differences.report(self._ds, other, worst, degrees)
 
     def differences(self, other: xr.Dataset) -> xr.Dataset:
-        """Changes of flags and differences of numbers to another atlas on the same grid, for maps.
+        """Changes of flags and of numbers from this atlas to another one on the same grid, for maps.
 
         Parameters
         ----------

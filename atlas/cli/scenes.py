@@ -103,7 +103,7 @@ def run_scene(options: argparse.Namespace) -> None:
     *EXECUTION,
 )
 def extend_atlases(options: argparse.Namespace) -> None:
-    """Run a scene, and take the points that it shares with earlier atlases from these."""
+    """Run a scene, and copy the points that earlier atlases have already."""
     for each in options.atlases:
         check_not_input(Path(options.out), [each])
     _run(options, options.out, options.atlases)

@@ -1,1 +1,1 @@
-"""The kernel: any system integrated with floats and arrays only; step sizes, statistics, generated and cached machine code."""
+"""The kernel: integration of any system with floats and arrays only, step sizes, statistics, generated and cached machine code."""

@@ -29,7 +29,7 @@ from ...files import FIGURES, atomic_write, writable
     DEGREES,
 )
 def draw_branches(options: argparse.Namespace) -> None:
-    """Draw the branches of equilibria of the bodies of a scene along its only axis, or their borders over two."""
+    """Draw the branches of equilibria of the bodies of a scene along its only axis, or the borders of equilibria over two axes."""
     from .borders import borders_of_scene, table
     from .branches import branches_of_scene
 

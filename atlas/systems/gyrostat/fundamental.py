@@ -135,7 +135,7 @@ def add(total, error, change):
 def at_nodes(part, phases, turns, nodes):
     """Write the matrices at the Gauss nodes of a step, from their mean and the cosines and sines of two harmonics.
 
-    phases: cosine and sine at each node, (2, 3, LANES), which are turned by a step; turns: cosine and sine of a step, (2, LANES).
+    phases: cosine and sine at each node, (2, 3, LANES), updated for the next step; turns: cosine and sine of a step, (2, LANES).
     """
     size = part.shape[1]
     for node in range(3):
@@ -158,7 +158,7 @@ def at_nodes(part, phases, turns, nodes):
 
 
 def exponential(nodes, identity, space, z):
-    """Replace z by the exponential, less 1, of Magnus' series of a step from the matrices at its Gauss nodes."""
+    """Replace z by exp(M) - 1, where M is Magnus' series of a step. The matrices at the step's Gauss nodes give M."""
     first, middle, last = nodes[0], nodes[1], nodes[2]
     b2, b3, c1, x, y = space[0], space[1], space[2], space[3], space[4]
     combine(15**0.5 / 3, last, -(15**0.5) / 3, first, 0.0, first, b2)
@@ -187,7 +187,7 @@ def exponential(nodes, identity, space, z):
 
 
 def rescale(matrix, error, log_scale):
-    """Divide matrices and their errors by the power of 2 below the largest entry, whose logarithm is added for each point."""
+    """Divide matrices and errors by the power of 2 below the largest entry of each point. Add its logarithm to log_scale."""
     size, largest = matrix.shape[0], np.zeros(matrix.shape[2])
     for i in range(size):
         for j in range(size):
@@ -207,9 +207,9 @@ def rescale(matrix, error, log_scale):
 def integrate(parts, turn, begin, end, result, log_scale):
     """Multiply the matrices of at most LANES points by the matrices of the steps from begin to end.
 
-    parts: mean, cosines and sines of two harmonics of all steps, (1, 5, size, size, points), or the matrices at the Gauss
-    nodes of each, (steps, 3, size, size, points), times the step; turn: phase of a step, rad; result: (points, size, size),
-    rescaled, the logarithms of the factors added to log_scale.
+    parts: for all steps the mean, cosines and sines of two harmonics, (1, 5, size, size, points), or for each step the matrices
+    at the Gauss nodes, (steps, 3, size, size, points), all multiplied by the step size; turn: phase of a step, rad; result:
+    (points, size, size), which is rescaled. The logarithms of its factors are added to log_scale.
     """
     size, points, harmonic = parts.shape[2], parts.shape[4], parts.shape[1] == 5
     lanes = -(-points // GROUP) * GROUP

@@ -58,7 +58,7 @@ def attribute_text(
 
 
 class _Printable(logging.Filter):
-    """Filter that makes messages of the log printable lines, because messages quote names of files and texts of libraries."""
+    """Filter that turns log messages into printable lines, because messages quote names of files and texts of libraries."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Make the message of a record printable. No record is left out."""

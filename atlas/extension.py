@@ -67,7 +67,7 @@ class Extension:
     published : mapping of str to str, optional
         Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have such rows.
     published_numbers : mapping of str to str, optional
-        Name of a system -> function of this name that returns rows of printed numbers; several extensions may have such rows.
+        Name of a system -> function that takes the name and returns rows of printed numbers; several extensions may have such rows.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Extension:
 PARTS = tuple(
     each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
 )
-# Kinds of parts whose names are names of systems. Several extensions may have a part for the same system, see `of_each`.
+# Kinds of parts that are named after systems. Several extensions may have a part for the same system; see `of_each`.
 OF_SYSTEMS = ("stress_cases", "published", "published_numbers")
 
 

@@ -124,7 +124,7 @@ def borders(plane: Plane, variable: str = "label") -> Lines:
 class Kind(NamedTuple):
     """A kind of border."""
 
-    # The class of each point is 1 or 2 on the two sides of a line, and 0 away from lines. The bool says whether motions are nudged.
+    # Classes of points, from predictions, a frame and whether motions are nudged. Lines separate class 1 from 2. Class 0 has no lines.
     classes: Callable[[Predictions, str, bool], np.ndarray]
     of_frame: bool = True  # whether the line depends on the frame
     rate: str = ""  # the rate that is 0 on the line, "n" or "m"
@@ -154,7 +154,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 def theory_borders(plane: Plane) -> Lines:
-    """Return polylines on a plane at which a prediction of theory changes, by kind, in the units of the axes.
+    """Return lines, by kind, at which a prediction of theory changes on a plane. Lines are polylines in the units of the axes.
 
     Lines separate linearly stable from unstable motions, regular precessions from permanent rotations, and points with a motion
     from points without a motion. A line on which psi' or phi' is 0 lies between regular precessions, and motions on the line are

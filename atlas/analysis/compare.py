@@ -92,7 +92,7 @@ def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
 def confusion(
     corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
 ) -> list[str]:
-    """Return a table that counts points by pairs of flags. Rows have the flags `names`. Columns have `columns`, by default `names`."""
+    """Return a table that counts points by pairs of flags. Rows are the flags `names`, columns the flags `columns` or else `names`."""
     shape = len(names), len(columns or names)
     pairs = np.ravel(down).astype(np.intp) * shape[1] + np.ravel(across)
     table = np.bincount(pairs, minlength=math.prod(shape)).reshape(shape)
@@ -204,7 +204,7 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
 
 
 def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
-    """Return a text for a point. An axis without numbers gives its index and the parameters that vary along the axis."""
+    """Return a text for a point. An axis without numbers gives the point's index and the parameters that vary along the axis."""
     texts = []
     for dim, k in indices.items():
         names = [dim]

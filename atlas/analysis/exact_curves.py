@@ -15,7 +15,7 @@ from .metadata import axes_of
 from .plane import Plane
 from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
-# Number of samples along each axis on which curves are traced, and number of trisections between two samples that find a vertex.
+# Curves are traced on TRACING_SAMPLES samples along each axis. TRISECTIONS trisections find a vertex between two samples.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
 # A condition that holds at more than this fraction of the samples holds in a region, where its sign is only rounding.
 REGION = 0.1
@@ -98,7 +98,7 @@ def _zero_lines(
     lines = lines_at(values, 0.0)
     if not lines or (np.abs(column) < ON_FAMILY).mean() > REGION:
         return []
-    # A line keeps its direction if the axes are exchanged.
+    # The direction of a line must not depend on the order of the axes.
     lines = [line if line[0].sum() <= line[-1].sum() else line[::-1] for line in lines]
     low, high = np.floor(np.concatenate(lines)), np.ceil(np.concatenate(lines))
     at_low = values[tuple(low.astype(int).T)] > 0

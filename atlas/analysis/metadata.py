@@ -34,7 +34,7 @@ _AVERAGED = re.compile(
 )
 
 
-POSITIONS = "atlas_positions"  # attribute with the name of the value -1 and the name of positions in a list
+POSITIONS = "atlas_positions"  # attribute with a word for -1 and a word for positions in a list
 
 
 def system_of(ds: xr.Dataset) -> System:
@@ -105,8 +105,8 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
     """Return the scene from which a part of an atlas can be computed again, or None for points without a scene.
 
     Raise BadInput if a coordinate differs from the scene by more than rounding. Evenly chosen points are compared, and only
-    corners and middles of a lazy part. An axis may have only some of the scene's values. After a join of atlases that differ only
-    in this axis, the axis may also have all of the scene's values and others.
+    corners and middles of a lazy part. An axis may lack values of the scene. An axis with values that the scene lacks, as after a
+    join of atlases that differ only in this axis, must have all values of the scene.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
@@ -154,14 +154,14 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Return the values of a coordinate, replaced by values of the scene's axis where both are equal to rounding."""
+    """Return the values of a coordinate. A value `_close` to a value of the scene's axis is replaced by the latter."""
     values = np.sort(axis.values)
     nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether values of a coordinate equal the values `own` of the scene to rounding, or differ by less than 1e-15 near 0."""
+    """Whether values of a coordinate equal the scene's values `own` within COORDINATE_ROUNDING or SPACINGS, or near 0 within 1e-15."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
@@ -210,7 +210,7 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Return the axes along which points have neighbours, with distinct numbers as values. Lists of points and random draws have none."""
+    """Return the axes along which points have neighbours: axes with distinct numbers, except those of listed points and random draws."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}
@@ -250,7 +250,7 @@ def _registry(system: System) -> Mapping[str, Variable]:
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """Return the names of -1 and of positions for a variable with positions in a list. An attribute or a `Variable` gives them."""
+    """Return the words for -1 and for positions in a list, from the attribute POSITIONS or a `Variable`. Other variables have none."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -261,8 +261,8 @@ def has_flags(array: xr.DataArray) -> bool:
     """Whether a variable has flags.
 
     Booleans are flags. Other flags have flag_meanings, and either the name of a flag variable or a long_name that no flag
-    variable has. Differences of flags inherit attributes, so that a variable with the long_name of a flag variable, but another
-    name, holds numbers. Floats under the name of a flag variable are averages of flags, even without attributes.
+    variable has. A variable with the long_name of a flag variable but with another name is a difference of flags, and holds
+    numbers. Floats under the name of a flag variable are averages of flags, even without attributes.
     """
     if array.dtype.kind == "b":
         return True
@@ -312,7 +312,7 @@ def is_averaged(array: xr.DataArray) -> bool:
         return False
     texts = _AVERAGED.findall(attribute_text(array.attrs, "cell_methods"))
     names = re.findall(r"[\w.+-]+", " ".join(texts))
-    # NCO writes a method even on data that were only joined. The dimensions of such data still exist.
+    # NCO writes cell_methods even for data that were only joined. The dimensions of such data still exist.
     gone = any(n not in {*array.dims, *array.coords} or array[n].size < 2 for n in names)
     return gone or array.dtype.kind not in "biu"
 
@@ -330,7 +330,7 @@ def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """Return the flag variable of this name, with positions in a list as flags. Raise BadInput if there is no such flag variable."""
+    """Return the flag variable of this name. Flags replace positions in a list. Raise BadInput for other variables and for averages."""
     ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:

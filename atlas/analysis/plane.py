@@ -50,7 +50,7 @@ class Plane:
 
         The plane reaches half a cell beyond the outermost points, except on sides where the scene has no points.
         """
-        # An xarray scalar would import dask.
+        # NumPy's min and max are used, because xarray's would import dask.
         extent = {dim: (float(ds[dim].values.min()), float(ds[dim].values.max())) for dim in dims}
         fixed = {}
         for dim in axes_of(scene):
@@ -111,7 +111,7 @@ class Plane:
         return (scale(values) - low) / (high - low)
 
     def points(self, coordinates: Mapping[str, Array]) -> grid.Grid:
-        """Return the points of the scene at `coordinates` in the plane, which are arrays (points,) by dimension."""
+        """Return the points of the scene at `coordinates` in the plane. `coordinates` maps dimensions to arrays (points,)."""
         shape = next(iter(coordinates.values())).shape
         values = {dim: np.full(shape, value) for dim, value in self.fixed.items()} | dict(coordinates)
         axes = axes_of(self.scene)

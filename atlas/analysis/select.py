@@ -91,7 +91,7 @@ def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
 
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """Return the part of an atlas nearest to values, in rad, of axes or of parameters of points; see `Atlas.nearest`."""
+    """Return the part of an atlas nearest to `values` of axes or of parameters of points; see `Atlas.nearest`."""
     if "point" not in ds.dims or not values:
         return nearest_on_axes(ds, values, degrees)
     check_not_empty(ds)
@@ -248,7 +248,7 @@ def nearest_trajectory(
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
     given = {name: value for name, value in start.items() if not math.isnan(value)}
-    # The kernel of `label_points` depends on the parameters that were given, which vary or differ from their defaults.
+    # The kernel of `label_points` depends on which parameters were given. Those that vary or differ from their defaults count as given.
     varied = [name for name in given if ds[name].ndim or given[name] != system.parameters[name].default]
     plan = Plan.of_points(system, settings_of(ds), None, varied)
     return trajectory_of_point(plan, given, Duration(float(point["end_time"])), samples)

@@ -16,7 +16,7 @@ from ..systems.base import families_of, on_family
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of, without_run
 
 MAX_NEAREST = 10_000  # largest number of drifting points that are compared with families
-# What an error estimate above 1 means for the points of a key of `Tally.largest`.
+# What an error estimate above 1 means for these two groups of points in `Tally.largest`.
 _UNKNOWN = {
     "unstable": "an instability has amplified errors until the final state is unknown",
     "others": "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown",
@@ -75,7 +75,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """Return a line that names the family of steady motions nearest to the drifting points of a list, if there are any."""
+    """Return a line that names the family of steady motions nearest to the drifting points among listed points, or no line."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system = system_of(ds)

@@ -116,7 +116,7 @@ def class_borders(
 def narrowed_lines(
     values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Return lines that separate samples above a level from other samples, and the two samples beside each vertex.
+    """Return lines between samples above a level and other samples. Return also the two samples beside each vertex.
 
     Lines and samples are indices (vertices, axes). Trisection finds vertices. A stretch that is not straight within FLATNESS
     is halved, and only the ends of stretches are vertices.
@@ -217,7 +217,7 @@ def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) ->
 def without_poles(
     size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
-    """Return the parts of lines on which a quantity passes through zero, not through a pole. `size` is the magnitude at positions."""
+    """Return the parts of lines on which a quantity passes through zero, not through a pole. `size` gives magnitudes at positions."""
     return [
         part
         for (low, high), line in zip(edges, lines, strict=True)
@@ -242,7 +242,7 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
         line = np.insert(line, i + 1, crossing, axis=0)
     shown = np.all((line >= low) & (line <= high), axis=1)
     parts = shown_parts(line, shown)
-    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that begins inside
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line from inside the box
         parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
     return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
 
@@ -302,7 +302,7 @@ def crossings(difference: Array) -> list[Array]:
 
 
 def _crossed_edges(difference: Array) -> Array:
-    """Return the fraction of the way from sample i to i + 1 of the first axis at which the difference vanishes, or nan."""
+    """Return where the difference vanishes between samples i and i + 1 of the first axis, as a fraction of the way, or nan."""
     fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
     before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
     with np.errstate(invalid="ignore", divide="ignore"):

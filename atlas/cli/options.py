@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            # Only a command can be missing because an extension cannot be loaded.
+            # Unlike other choices, a command may be missing because its extension cannot be loaded.
             is_command = isinstance(action, argparse._SubParsersAction)
             allowed = (available_text if is_command else allowed_text)(value, list(action.choices))
             raise argparse.ArgumentError(action, f"{shown(value)}: {allowed}")

@@ -1,9 +1,9 @@
 """The fast-spin solution of Amer, Abo Essa, Ibrahim & Amer as it follows from the equations of motion.
 
-A body with A = B has its centre of mass on the third axis and spins about this axis at a fast rate r0. The rotor
-(l1, l2, l3) is arbitrary. The small parameter is eps = c sqrt(gamma0'') / r0, with c^2 = Mg |z0| / C. Numbers in
-brackets are the paper's equations. `published` has the same quantities as the paper prints them, and
-`published.PUBLISHED` lists the differences. The dimensionless state is y = (p1, q1, r1, g1, g1', g1''), and the time is tau = r0 t.
+A body with A = B has its centre of mass on the third axis and spins about this axis at a fast rate r0. The rotor (l1, l2, l3)
+is arbitrary. The small parameter is eps = c sqrt(gamma0'') / r0, with c^2 = Mg |z0| / C. Numbers in brackets are the paper's
+equations. `published` has the same quantities as the paper prints them, and `published.PUBLISHED` lists the differences. The
+dimensionless state is y = (p1, q1, r1, g1, g1', g1''), where primes belong to names. Other primes below are d/dtau, tau = r0 t.
 A1, a, k and z are in `FastSpin`. With w = p1 + i q1, G = g1 + i g1' and mu = (l1 + i l2) / (A c sqrt(gamma0'')) the equations are
 
     w'   = i (A1 r1 + s) w - i mu r1 + i eps (z/a - k A1 g1'') G        s = l3 / (A r0)
@@ -170,7 +170,7 @@ def frequency_shift(spin: FastSpin) -> Array:
 
 
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
-    """Return alpha(eps) of (33), which is the period of the periodic solution in tau, minus T0 = 2 pi turns."""
+    """Return alpha(eps) of (33). The periodic solution returns to its start at tau = T0 + alpha, where T0 is 2 pi times `turns`."""
     return -2 * np.pi * turns * frequency_shift(spin)
 
 
@@ -212,7 +212,7 @@ def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
 
 
 def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
-    """Return theta, psi and phi of `first_order` at times t (in the unit of 1/r0), by (34). The time `h` shifts the phase.
+    """Return theta, psi and phi of `first_order` at times t in s, by (34). The time `h` shifts the phase.
 
     Errors are of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates.
     """

@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Correct the unknowns by Newton's method. Also return the defect before the last correction; about its square remains."""
+    """Correct the unknowns by Newton's method. Also return the defect d before the last correction, after which about d^2 is left."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])
@@ -97,7 +97,7 @@ def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> t
         )
         defect = np.concatenate([(end - y) * unit, phase])
         columns = np.concatenate([changed - along, rhs(spin, end)[:, None]], 1) * unit[:, None]
-        last = np.concatenate([0.5 * (ahead - behind), zero[None]])  # to_quasilinear is quadratic, too
+        last = np.concatenate([0.5 * (ahead - behind), zero[None]])  # exact, as to_quasilinear is quadratic
         matrix = np.moveaxis(np.concatenate([columns, last[None]]), -1, 0)
         finite = np.isfinite(matrix).all((1, 2)) & np.isfinite(defect).all(0)
         # Three of the seven equations follow from the others, because of the integrals.
@@ -131,7 +131,7 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
 
 
 def of_unknowns(spin: FastSpin, x: Array) -> Periodic:
-    """Return the periodic solutions with the unknowns `x`, and their traces."""
+    """Return the periodic solutions with the unknowns `x`."""
     y, size = state(spin, x), x.shape[1]
     along = np.eye(6)[:, :, None] * np.array([spin.eps**-1, spin.eps**-1, *4 * (np.ones(size),)])[:, None]
     changed = flow(spin, y, along, x[3], FINE)[1]

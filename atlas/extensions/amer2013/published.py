@@ -2,7 +2,7 @@
 
 The formulas serve for comparison only, because most of them are wrong. PUBLISHED lists the errors, with measured sizes where
 possible. The table [printed] of equations.toml has the formulas, and `reduction` has the steps between (6) and (27). Each
-function has the signature and the units of its namesake in `fast_spin`. X and formulas that contain X need A1 != 0.
+function has the signature and the units of its namesake in `fast_spin`. X of (11) and formulas with X need A1 != 0.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def check(points: Points, duration: Array) -> None:
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
-    """Return alpha for one turn, from the mean rate of the phase of g1 + i g1' over whole turns of the full equations."""
+    """Return alpha for one turn by the full equations, from the mean rate of the phase of g1 + i g1' over whole turns."""
     tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
     y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
     rate = fast_spin.rhs(spin, y)
@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
-    """Return the error of chi1 and nu. The part eps chi1 G of w must turn at the rate -1 of G, and the part eps nu w of G at Omega."""
+    """Return the error of chi1 and nu. The part eps chi1 G of w must turn at G's rate, -1, and the part eps nu w of G at w's rate, Omega."""
     chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
@@ -192,7 +192,7 @@ def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: 
 
 @cache
 def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
-    """Return times in two turns, and theta, psi and phi of the full equations at these times."""
+    """Return times in two turns, and theta, psi and phi at these times by the full equations."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
     tau = np.linspace(0, 4 * np.pi, 401)
@@ -235,7 +235,7 @@ MEASURES: dict[str, EntryMeasure] = {
     "(3), S1": _of_body(partial(_constancy, 0), integrals, fast_spin.integrals),
     "(4)": _of_body(partial(_rate_error, 0), rhs, fast_spin.rhs),
     "(7), (15)": _of_body(
-        # the square of the rate at which q1 grows with p1
+        # the squared frequency is the square of the derivative of q1' by p1
         lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
         frequency_squared,
         lambda spin: spin.Omega**2,

@@ -52,7 +52,7 @@ def numbers(spin: FastSpin, *names: str) -> Values:
 
 
 def names(spin: FastSpin) -> Values:
-    """Return the numbers of a body in their true forms, by the names of equations.toml."""
+    """Return the true values of a body's numbers, by the names of the numbers in equations.toml."""
     X, momentum = 1 / spin.Omega, spin.A * spin.r0
     fields = (
         "A", "C", "A1", "a", "k", "z", "r0", "eps", "l1", "l2", "l3", "Omega", "M3", "G0", "chi1", "nu", "gamma0",
@@ -90,7 +90,7 @@ def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
 
 
 def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
-    """Return a random start with r1 = g1'' = 1, and a random state of equal energy and area, which satisfies (2) with (3)."""
+    """Return a random start with r1 = g1'' = 1, and a random state of the same energy and area by (2) and the corrected (3)."""
     y0, y = rng.normal(size=(2, 6))
     y0[[2, 5]] = y[[2, 5]] = 1.0
     for _ in range(60):  # each step is a contraction by a factor of order eps
@@ -127,8 +127,8 @@ def variables(x0: Array, x: Array) -> Values:
     )
 
 
-# The following functions of a random generator and an entry return values for the expressions of the entry. AT has each function
-# under the key `at` of its entries.
+# The following functions of a random generator and an entry return values for the expressions of the entry. AT maps the value of
+# `at` in an entry to the function.
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
@@ -151,7 +151,7 @@ def _motion(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
-    """Return the solution (25), with the true frequency, over all phases of its two frequencies, t1 = Omega tau and tau."""
+    """Return the solution (25), with the true frequency, on a grid of the phases t1 = Omega tau and tau."""
     spin = random_spin(rng, **{"r0": entry["r0"]} if "r0" in entry else {})
     E, eta = rng.uniform(0.5, 1.5, 2) * (entry.get("amplitude", 1.0), 1)
     phases = 2 * np.pi * np.arange(12) / 12
@@ -167,7 +167,7 @@ def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
-    """Return two random states, and the exact p2'' and gamma2'' at eight values of eps and fixed k and rotor, for series in eps."""
+    """Return two random states, and the exact p2'' and gamma2'' at eight values of eps, for series in eps. k and the rotor are fixed."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
     C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
     spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)

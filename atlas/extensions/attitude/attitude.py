@@ -28,7 +28,7 @@ STARTS = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 UNITS = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30}
 ORBITAL = "orbital"
 LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # along velocity, minus normal and nadir
-# Rotation from each frame of a satellite, as the frame is at the start, to the frame of radius, velocity and normal.
+# Rotation from each frame of a satellite to the orbital axes (radius, velocity and orbit normal), at the start.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
 # Tolerated relative differences of mirrored elements of a tensor, of equal moments and of equal components of axes.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9
@@ -83,7 +83,7 @@ def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Return moments (points, 3) and axes as rows (points, 3, 3). Their signs, and order if `nearest`, give the smallest rotation."""
+    """Return moments (points, 3) and axes as rows (points, 3, 3). Signs, and order if `nearest`, minimise the turn from the given axes."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
     # The largest component (the first of equal ones) is made positive, so that the signs of the solver do not matter.
@@ -227,8 +227,8 @@ def attitude(
         are forward, right and down, which are rotations about the third, then the second, then the first axis of the body.
         "xyz" gives the same angles, with roll first.
     axes : array_like, optional
-        As in `atlas.start`. Use ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` if A, B and C are about up, forward and left, the
-        axes of a body at theta = psi = phi = 0; otherwise the angles in "lvlh" are not yaw, pitch and roll.
+        As in `atlas.start`. Use ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` if the axes of A, B and C point up, forward and left in
+        the body. Then the angles in "lvlh" are yaw, pitch and roll, which are 0 at theta = psi = phi = 0.
     degrees : bool, optional
         Angles in degrees.
 

@@ -1,4 +1,4 @@
-"""Equilibria in which damped motions end, how the ends are known, and times of settling; see `wells`."""
+"""Equilibria in which damped motions end, the evidence for these ends, and times of settling; see `wells`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ...systems.gyrostat.body import length
 
 MARGIN = 10.0  # a proof adds the error of the energy, times this, to the energy
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
-# Largest error of a motion before it settles, in rad and in units of rates. A larger error may cross the border of a basin.
+# Largest error before a motion settles: angles in rad, rates over the frequency bound. A larger error may change the basin.
 LARGEST_ERROR = 0.01
 LEVELS = 6  # number of minima, counted from the lowest, for which a time of settling is measured
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement of the energy below which the body is settled at its equilibrium
 START = "ends:start"  # measurement of the energy at the start plus a margin
-LEAST = "ends:least"  # measurement of the lowest potential of an equilibrium that is no minimum
+LEAST = "ends:least"  # measurement of the lowest potential among equilibria that are no minima
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled or undecided;"
     " positions of different bodies cannot be compared"

@@ -35,10 +35,10 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     -------
     Dataset
         `end`, int16, over the dimensions of the atlas, is the position along `which`, or -1 where the status is not ok or no
-        other motion has the same end. Motions that differ by at most the tolerance, to within a quarter of it, have the same end,
-        also through a chain of motions. The ends along `which`, in the order of the first feature, have the number
-        `count` of motions, the median of each feature, and `spread`, the largest difference over the tolerance. A warning names
-        chains, whose spread is above 1.
+        other motion has the same end. Two motions have the same end if they differ by at most the tolerance, or if a chain of motions
+        with such differences joins them. The limit is accurate to a quarter of the tolerance. The ends along `which`, sorted by
+        the first feature, have the number `count` of motions, the median of each feature, and `spread`, which is the largest
+        difference divided by the tolerance. A warning names chains, whose spread is above 1.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
 
 
 def groups(values: Array) -> NDArray[np.int64]:
-    """Return the number of the group of each row. Rows that differ by at most 1 in every column, to 1 / CELLS, are in one group."""
+    """Return the group number of each row. Rows that are joined by steps of at most 1 +- 1 / CELLS in every column are one group."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree

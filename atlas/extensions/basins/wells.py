@@ -23,7 +23,7 @@ from ..equilibria.algebra import ANGLES, attitudes, frames_of, rotated
 from ..equilibria.bodies import bodies_of
 
 Places = NDArray[np.int64]
-# Largest distance of a settled body from its equilibrium, in rad and in units of `Wells.rate`.
+# Largest angle (rad) of a settled body from its equilibrium, and largest angular velocity in units of `Wells.rate`.
 SETTLED = 1e-3
 _FLAT = 1e-6  # an eigenvalue of a Hessian counts as 0 below this fraction of the largest one at the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
@@ -40,8 +40,8 @@ class Wells:
     body: Body
     rate: Array  # unit of rates, the frame's rate or else the natural rate, (bodies,)
     single: bool  # whether gamma is the only direction of the frame, and attitudes may turn about gamma
-    frames: Array  # rows alpha, beta and gamma in body axes, (bodies, places, 3, 3); 0 if the frame lacks a direction
-    axis: Array  # body axis about which a circle of equilibria turns, or nan, (bodies, places, 3)
+    frames: Array  # rows alpha, beta and gamma in body axes, (bodies, places, 3, 3); if `single`, rows alpha and beta are 0
+    axis: Array  # body axis about which turns lead along a circle of equilibria, nan elsewhere, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
     potential: Array
     index: Array  # Morse index

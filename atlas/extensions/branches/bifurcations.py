@@ -6,8 +6,8 @@ changes its index, is divided until Newton's method finds each bifurcation in th
 
     gradient of W = 0,    kappa = 0,
 
-where kappa is the eigenvalue of the Hessian that is nearest to 0. An interval is also divided if two complex solutions at an end
-may become real inside. Newton's method then starts from the real part of these solutions.
+where W is the amended potential, and kappa is the eigenvalue of the Hessian of W that is nearest to 0. An interval is also divided
+if two complex solutions at an end may become real inside. Newton's method then starts from the real part of these solutions.
 
 Every solution may be turned about the vertical if nothing acts along alpha, and about an axis of symmetry of the body. These cyclic
 directions are removed. The projector onto them is added to the Hessian, and distances are measured in invariant coordinates.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Two solutions match if the errors with which they predict each other sum to less than _CLOSE and _DISTINCT times any rival sum.
+# Two solutions match if their errors in predicting each other have a sum below _CLOSE, and below _DISTINCT times any rival sum.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
 _ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; step, modulo 1, that spreads the divisions
@@ -38,9 +38,9 @@ _DIFFERENCE = 1e-5  # step of central differences, in rad or in units of the ran
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # Newton's method stops when a step is shorter than this
 _CONVERGED = 1e-9  # a value has converged if its last step is shorter than this, in units of the range
-_SETTLED = 1e-6  # largest last step of rotation and values; near a pitchfork each step only halves the error
+_SETTLED = 1e-6  # largest last step of Newton's method, in rad and units of the ranges; near a pitchfork a step only halves the error
 _BLOCK = 512  # number of intervals whose solutions are matched at once
-_SAME = 1e-3  # points that are nearer to each other are the same
+_SAME = 1e-3  # bifurcations at a smaller distance in the coordinates of `BodyFamily.place` are the same
 # A solution is degenerate below this relative eigenvalue. A fold has a greater relative derivative along the null vector.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 
@@ -117,7 +117,7 @@ class BodyFamily(NamedTuple):
     def singular(self, values: Array, frames: Array) -> Singular:
         """Find points at which the eigenvalue that is nearest to 0 at the start vanishes.
 
-        Steps solve damped least squares. The matrix is singular at a pitchfork, where derivatives along the null vector vanish.
+        Steps solve damped least squares, because the Jacobian is singular at a pitchfork, where derivatives along the null vector vanish.
         """
         count, size = len(values), 3 + values.shape[1]
         steps = _DIFFERENCE * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
@@ -275,7 +275,7 @@ def bifurcations_between(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # no branch ends or changes its index here, so that the value must be that of another point
+        else:  # no branch ends or changes its index at this point, so another bifurcation must have the same value
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:
@@ -284,7 +284,7 @@ def bifurcations_between(
 
 
 class Branches(NamedTuple):
-    """All branches over some values."""
+    """All branches of solutions over some values of the parameter."""
 
     listed: dict[str, NDArray[Any]]  # variables of `equilibria_of_bodies` at each value
     branch: Places  # number of the branch of each solution or -1, (values, places)

@@ -31,7 +31,7 @@ from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # squared exponents at an end of a limit of stability count as 0 below this
-# Largest rates of the parameters at a cusp. The rates are larger where folds go straight on, at bodies with circles of equilibria.
+# Largest rates of the parameters per arc length at a cusp. Folds go straight on, with larger rates, at circles of equilibria.
 _TURNS = 1e-6
 
 
@@ -216,8 +216,8 @@ def borders(
     -----
     Between two vertices a curve is the cubic whose derivatives at both vertices are the tangents times the difference of arc. If
     nothing acts along alpha, equilibria with alpha and -alpha share one curve; other symmetries repeat curves. A closed curve of a
-    satellite may be missed inside a cell that counts as explained. If curves are within 1e-6 of the ranges, or
-    within 1e-5 beside bodies whose equilibria are not isolated, their order and the changes between them are not certain.
+    satellite may be missed inside a cell that counts as explained. Where two curves are less than 1e-6 of the ranges
+    apart, or 1e-5 beside bodies whose equilibria are not isolated, their order and the changes between them are not certain.
     """
     if len(ranges) != 2:
         raise BadInput(

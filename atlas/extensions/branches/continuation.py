@@ -1,7 +1,7 @@
 """Curves of degenerate critical points by pseudo-arclength continuation from many points at once.
 
 The curve through each point is followed to the next point, so that no part is followed twice. The parts are then joined. Lengths
-are measured in x, position and s.
+are measured in the unknowns x, position and s (`Degenerate.place`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # desired angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain, because another curve crosses
 _NONE = 1e-10  # a value counts as 0 below this fraction of the largest value
-_ILLINOIS, _NO_SHARE = 14, 1e-15  # bracketed secant method: most iterations, and change at its end
+# The bracketed secant method ends after `_ILLINOIS` steps, or when the fraction of a segment changes by less than `_NO_SHARE`.
+_ILLINOIS, _NO_SHARE = 14, 1e-15
 _ITERATIONS = 10  # number of iterations of least squares where the equations are singular
 _MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic errs by less than 1e-6
 _ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
@@ -30,7 +31,7 @@ _SETTLED = 1e-6  # largest last step of Newton's method; its square is about the
 # The next point is sought among _NEIGHBOURS points near a vertex, which are chosen anew after the length _LOOK.
 _NEIGHBOURS, _LOOK = 32, 0.2
 _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exceeds this fraction of the chord
-# Least scalar product of successive unit null vectors of a curve. With nearly equal moments another curve may be close.
+# Points whose unit null vectors have a smaller scalar product are on different curves, which may be close if moments are nearly equal.
 _SAME_VECTOR = 0.3
 _BACK = 1e-6  # a curve turns between vertices with parameter rates a and b if -a.b > _BACK (a.a + b.b)
 # Limits of stability shorter than this, in units of the ranges of the parameters, are dropped. So are their vertices nearer than
@@ -99,7 +100,7 @@ def curves(points: Degenerate, tangents: Array) -> list[Curve]:
 
 
 def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
-    """Return the indices of points, without points that are a short way ahead of or behind another point on the same curve."""
+    """Return the indices of points. Of points that are a short way apart along the same curve, only the first is kept."""
     count, place, along = len(tangents), points.place, _of_place(points, tangents)
     targets, _ = _with_images(points, tangents)
     near = _nearest(place, targets)
@@ -135,7 +136,7 @@ def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
 
 
 def _of_place(points: Degenerate, rows: Array) -> Array:
-    """Return the components along x, position and s of rows over the unknowns."""
+    """Return the components along x, position and s of the vectors `rows`, (N, unknowns)."""
     return np.concatenate([rows[:, : points.potential.size], rows[:, -3:]], 1)
 
 
@@ -149,14 +150,14 @@ def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
 
 
 def _in_unknowns(points: Degenerate, rows: Array) -> Array:
-    """Return rows over the unknowns with these components along x, position and s, and with 0 elsewhere."""
+    """Return vectors (N, unknowns) with the components `rows` along x, position and s, and with 0 elsewhere."""
     n, result = points.potential.size, np.zeros((len(rows), points.unknowns.shape[1]))
     result[:, :n], result[:, -3:] = rows[:, :n], rows[:, n:]
     return result
 
 
 def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
-    """Yield the parts of curves that begin at `ends` of the seeds, which are numbered as in `Piece`."""
+    """Yield the parts of curves that begin at `ends` of the seeds. Ends are numbered as in `Piece`."""
     targets, target_along = _with_images(seeds, seed_tangents)
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
@@ -173,7 +174,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             break
         now, t = points.take(active), tangents[active]
         along, place = _of_place(now, t), now.place
-        with np.errstate(all="ignore"):  # distance of the sides of the box along each axis
+        with np.errstate(all="ignore"):  # distance along the tangent to the side of the box, for each axis
             gaps = np.maximum(np.where(along > 0, 1 - place, -place) / along, 0)[:, -3:-1]
         gaps[along[:, -3:-1] == 0] = np.inf
         side, arc = gaps.argmin(1), step[active]
@@ -287,8 +288,7 @@ class Segments(NamedTuple):
     vertex: NDArray[np.int64]  # number of the vertex at which the segment begins
     start: Degenerate
     end: Degenerate
-    # Derivatives of the unknowns by the fraction of the way, at both ends.
-    slopes: tuple[Array, Array]
+    slopes: tuple[Array, Array]  # derivatives of the unknowns by the fraction of the way, at both ends
 
     @classmethod
     def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
@@ -387,7 +387,7 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Return the curves with vertices added where limits of stability turn back, as those of mirror images do at a pitchfork."""
+    """Return the curves with vertices added where limits of stability turn back. Limits of mirror images turn back at a pitchfork."""
     if not lines:
         return []
     every = Segments.of(lines)

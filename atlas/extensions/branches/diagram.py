@@ -183,7 +183,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
 
 
 def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np.ndarray]]:
-    """Return smooth lines of parameter and variable, or of vectors, by stability. Lines end at bifurcations and at changes of stability."""
+    """Return smooth lines (parameter, value), or lines of unit vectors, by stability. Lines end where a branch ends or changes stability."""
     every, of_folds = ds[variable].values, ds.get(f"fold_{variable}")
     folds = np.full((ds.sizes["fold"], *every.shape[2:]), np.nan) if of_folds is None else of_folds.values
     lines: dict[int, list[np.ndarray]] = {}
@@ -210,7 +210,7 @@ def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np
 
 
 def smooth(position: np.ndarray, value: np.ndarray, turns_first: bool, turns_last: bool) -> np.ndarray:
-    """Return parameter and values, or unit vectors, of a branch without corners, with SUBDIVISION steps between its points.
+    """Return points (parameter, value), or unit vectors, along a smooth branch, with SUBDIVISION steps between the given points.
 
     At an end where a branch turns back, values are interpolated in the square root of the distance from the end.
     """

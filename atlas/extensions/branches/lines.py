@@ -26,7 +26,7 @@ COUNT_TRISECTIONS = 4  # number of trisections between two neighbouring points o
 # The number of minima changes only where minima merge. The number of stable equilibria also changes at limits of stability.
 MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
 MANY_COUNTS = 300  # tracing more vertices takes more than a second and is announced
-BETWEEN = 6  # number of straight parts that replace a cubic of a border to within 1e-5 of the plane
+BETWEEN = 6  # number of straight parts that replace a cubic of a border, with errors below 1e-5 of the plane's sides
 
 
 def count_lines(count: str, plane: Plane, ds: xr.Dataset) -> Lines:

@@ -8,8 +8,8 @@ degenerate if there is a null vector (v, m) with
     (Q + l.E) x + c = 0,    x.E x / 2 = e,    (Q + l.E) v + m.E x = 0,    x.E v = 0,    v.v = 1.
 
 These equations of degree 2 in (x, l, v, m) and both parameters define curves of folds, which are smooth at cusps too. The
-derivative of the equations is singular at a pitchfork of a symmetric body. There the first equation gets the term s v, where
-the unknown s is 0 on the curve, and x moves across v, which means in the plane of symmetry.
+derivative of the equations is singular at a pitchfork of a symmetric body. There the first equation gets the term s v. The
+unknown s is 0 on the curve. A further equation v.dx = 0 keeps changes dx of x in the plane of symmetry.
 
 On limits of stability, P(s) = P'(s) = 0 replaces the conditions with v and m. P is the characteristic polynomial of the squares
 of the exponents. Its double root s is an unknown, so that the equations are regular at a triple root.
@@ -49,7 +49,7 @@ _DISCRIMINANT_ROUNDING = 1e-13
 # of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # number of Newton steps that move a point onto a side of the box
-# These matrices E_k say that two (`FRAMES`) or three (`TRIADS`) vectors are orthonormal.
+# Two (`FRAMES`) or three (`TRIADS`) vectors, joined in x, are orthonormal if x.E_k x is 1 or 0 for each of these matrices E_k.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -91,8 +91,7 @@ class Potential(NamedTuple):
     axis: int  # axis of symmetry that all bodies have, -1 if there is none
     upright: bool  # whether nothing acts along alpha and beta
     mirrored: bool  # whether alpha -> -alpha leaves all potentials the same
-    # Chebyshev coefficients of `_linear` (27 numbers) and its derivatives by both parameters, (a, b, 81).
-    bodies: Array
+    bodies: Array  # Chebyshev coefficients of `_linear` and of its derivatives by both parameters, (a, b, 81)
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
@@ -125,7 +124,7 @@ class Potential(NamedTuple):
         n = terms.shape[2] // 2
         forms = {6: FRAMES, 9: TRIADS}.get(n, np.eye(n)[None])
         mirrored = n == 6 and not terms[..., n : n + 3].any()
-        bodies = bodies[: used[0] + 2, : used[1] + 2]  # c has products with the turn
+        bodies = bodies[: used[0] + 2, : used[1] + 2]  # I and k may have higher terms than Q and c
         return cls(_with_derivatives(terms), forms, axis, upright, mirrored, _with_derivatives(bodies))
 
     @property
@@ -151,8 +150,9 @@ class Potential(NamedTuple):
     def characteristic(self, x: Array, positions: Array) -> tuple[Array, Array]:
         """Return the characteristic polynomial of the squares s of the exponents, and its derivatives by x and position.
 
-        The coefficients (N, 4) are in ascending order, and the derivatives have the shape (N, 4, n + 2). In the frame the body obeys
-        I xi'' + v x xi' + H xi = 0, so that the polynomial is det(s I + H) + s v.(s I + H) v. A root that is 0 by symmetry is left out.
+        The coefficients (N, 4) are in ascending order. The derivatives have the shape (N, 4, n + 2). Small turns xi of the body obey
+        I xi'' + v x xi' + H xi = 0 with the Hessian H and the gyroscopic vector v. The polynomial is det(s I + H) + s v.(s I + H) v.
+        A root that is 0 by symmetry is left out.
         """
         alpha, gamma = self.attitudes(x)
         inertia, rotor, turning, *along = np.split(_values(self.bodies, positions), 9, 2)
@@ -188,7 +188,7 @@ class Potential(NamedTuple):
     def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
         """Return numbers (N, 4), positive where all exponents are imaginary and different. One zero pair is ignored where `left_out`."""
         c = coefficients.copy()
-        if self.size == 2:  # A symmetry makes a second pair 0, unless the axis is along gamma.
+        if self.size == 2:  # A symmetry makes a second pair of exponents 0, unless its axis is along gamma.
             left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
         out = np.broadcast_to(left_out, len(c))
         c[out] = np.roll(c[out], -1, 1) * [1.0, 1.0, 1.0, 0.0]
@@ -264,7 +264,7 @@ def _polar(a: Array, b: Array) -> Array:
 
 
 def _hessian(d: Array, q: Array, c: Array) -> Array:
-    """Return the symmetric part of the Hessian under rotations of d.(q d) / 2 + c.d, for a direction d in body axes."""
+    """Return the symmetric part of the Hessian of d.(q d) / 2 + c.d under rotations, for a direction d in body axes."""
     outer, slope = d[:, :, None] * d[:, None], q * d + c
     mixed = 0.5 * slope[..., :, None] * d[:, None]
     tilt = _polar(outer, q[..., None] * np.eye(3))
@@ -272,7 +272,7 @@ def _hessian(d: Array, q: Array, c: Array) -> Array:
 
 
 def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
-    """Return the derivatives by d of the products of the matrices K with `_hessian`, (N, matrices, 3)."""
+    """Return the derivatives by d of the scalar products of the matrices K with `_hessian`, (N, matrices, 3)."""
     rest = K - np.einsum("njii->nj", K)[..., None, None] * np.eye(3)
     tilt = 2 * _polar(K, q[:, None, :, None] * np.eye(3)) + q[:, None, :, None] * rest
     return np.einsum("njik,nk->nji", tilt, d) + np.einsum("njik,nk->nji", rest, q * d + c)
@@ -303,11 +303,11 @@ def _coefficients(body: Body, upright: bool, axis: int) -> Array:
 
 
 class Degenerate(NamedTuple):
-    """Degenerate critical points of potentials, with the unknowns (x, l, v, m, position, s) of shape (N, 2 n + 2 m + 3)."""
+    """Degenerate critical points of potentials. `unknowns` has N rows (x, l, v, m, position, s), split by `parts`."""
 
     potential: Potential
     unknowns: Array
-    # On pitchforks s is unknown and x moves across v. On limits of stability s is the square of the double exponent, and v = m = 0.
+    # On pitchforks s is free, and v.dx = 0. On limits of stability s is the square of the double exponent, and v = m = 0.
     kind: NDArray[np.int8]
 
     @property
@@ -350,7 +350,7 @@ class Degenerate(NamedTuple):
         return Degenerate(self.potential, self.unknowns[where], self.kind[where])
 
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Return the second derivatives in (x, l), the derivatives of their product with (v, m), and `Potential.at` the positions."""
+        """Return the second derivatives D in (x, l), the derivatives of D (v, m) by (x, l), and `Potential.at(position)`."""
         x, l, v, m, position, _ = self.parts
         forms, (N, n) = self.potential.forms, x.shape
         diagonal = self.potential.at(position)
@@ -364,7 +364,7 @@ class Degenerate(NamedTuple):
         return first, second, diagonal
 
     def equations(self) -> tuple[Array, Array]:
-        """Return the residuals (N, 2 n + 2 m + 2) of the equations and the derivatives by the unknowns."""
+        """Return the residuals of the equations, (N, unknowns - 1), and their derivatives by the unknowns."""
         x, l, v, m, position, s = self.parts
         first, second, (now, *by) = self.matrices()
         N, n, size = len(x), x.shape[1], first.shape[1]
@@ -427,7 +427,7 @@ class Degenerate(NamedTuple):
         return np.where(self.limit[:, None], -self.largest_square()[:, None], margins)
 
     def stable_change(self) -> NDArray[np.int64]:
-        """Return how the number of stable solutions changes across curves with positive margins.
+        """Return how the number of stable solutions changes across curves. The change is valid where all `margins` are positive.
 
         One of two merging solutions is stable. With a cyclic angle both are stable, and exponents vanish at extrema of the momentum.
         """
@@ -458,7 +458,7 @@ class Degenerate(NamedTuple):
         return np.where((rates * toward).sum(1) > 0, 1, -1) + 2 * (values[:, 0] > 0)
 
     def largest_square(self) -> Array:
-        """Return the largest square of the exponents at limits of stability without a pair that vanishes, and -inf elsewhere."""
+        """Return the largest square of the exponents at limits of stability, and -inf elsewhere. A pair that vanishes is left out."""
         limits, result = self.take(self.limit), np.full(len(self.kind), -np.inf)
         x, _, _, _, position, s = limits.parts
         (_, first, second, third), s = self.potential.characteristic(x, position)[0].T, s[:, 0]
@@ -554,7 +554,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Return unknowns at points x within `reach` of degenerate points, to first order. Points with `solves` are solutions."""
+        """Return unknowns at points x whose distance from a degenerate point is below `reach` to first order. `solves` marks solutions."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -610,7 +610,7 @@ class Degenerate(NamedTuple):
         return Degenerate.joined([Degenerate(self.potential, unknowns, kind) for unknowns in sides])
 
     def settled(self, reach: float) -> Degenerate:
-        """Return the points of curves in the box to which Newton's method converges within the distance `reach`."""
+        """Find points on curves by Newton's method. Points outside the box, or farther than `reach` from their starts, are left out."""
         points, step = self.nearest(_ITERATIONS)
         beyond = np.flatnonzero(~points.inside())  # part of the curve may be inside
         onto, step[beyond] = points.take(beyond).onto_sides()
@@ -636,7 +636,7 @@ class Degenerate(NamedTuple):
         return np.stack([(v * (q * x + c)).sum(1) for q, c in by], -1)
 
     def character(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """Return the number of other negative eigenvalues, two functions with zeros at special points, and a covector.
+        """Return the number of negative eigenvalues besides the vanishing one, two functions with zeros at special points, and a covector.
 
         On folds the first function is the third derivative along the null vector, which is 0 at cusps, and the second is 1. On
         pitchforks the functions are the product of the other eigenvalues, and this product times the fourth derivative. On limits

@@ -1,4 +1,4 @@
-"""Points on the curves of degenerate critical points, from closed forms on spheres, else from all equilibria of some bodies."""
+"""Points on curves of degenerate critical points, in closed form for x on a sphere or circle, else from all equilibria of some bodies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves, with_turns, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
-# `_LINES` lines along each axis have `_SAMPLES` samples each. Zeros of a component are traced on a grid of `_CONTOUR` points.
+# `_LINES` inner lines along each axis, and lines at the sides, have `_SAMPLES` samples. Zeros of c_i are traced on `_CONTOUR`^2 points.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
 _ZERO = 1e-20  # replaces zeros of a component of c, so that folds there are limits of folds beside them
 _ON_SPHERE = 8  # steps of Newton's method
@@ -26,7 +26,7 @@ _RIM = 0.004  # distance of the outermost lines from the sides of the box, where
 # One more line of the grid has this distance from the middle, because mirrored curves cancel between symmetric corners.
 _BESIDE_MIDDLE = 5e-4
 REACH = 2.0  # distance in cells within which curves are sought from an equilibrium
-# Up to `_SEARCHES` more searches take `_BETWEEN` points on an interval. A segment of a curve has `_DIVISIONS` parts.
+# Up to `_SEARCHES` searches take `_BETWEEN` points of each unexplained grid interval. `_DIVISIONS` chords replace a curve segment.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
 
@@ -47,9 +47,9 @@ class Cell(Flag):
 def on_sphere(potential: Potential) -> Degenerate:
     """Return points of all curves in the box, for x on a sphere or circle.
 
-    With Q = d and c = b the solutions are -b / (d - L) for all L at which F(L) = sum b_i^2 / (d_i - L)^2 is 1. At a fold the minimum
-    of F between two poles with b_i != 0 is 1. If a parameter moves one component of b alone, or scales d, every curve of folds
-    leaves the box or meets a line b_i = 0. Where b_i = 0 everywhere, F without its term i is 1 at L = d_i at a pitchfork.
+    For Q = diag(d) and c = b the solutions are x = -b / (d - L) for all L with F(L) = sum b_i^2 / (d_i - L)^2 = 1. At a fold the
+    minimum of F between two poles with b_i != 0 is 1. If a parameter moves one component of b alone, or scales d, every curve of
+    folds leaves the box or meets a line b_i = 0. If b_i = 0 in the whole box, the other terms of F(d_i) sum to 1 at a pitchfork.
     """
     n, sides, steps = potential.size, np.linspace(0, 1, _SAMPLES), np.linspace(0, 1, _CONTOUR)
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1)
@@ -160,7 +160,7 @@ def all_curves(
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
-            # Curves of extremal momentum end where the change of stable solutions across a pitchfork jumps, or run close to other curves.
+            # Curves of extremal momentum are sought beside pitchforks where `stable_change` jumps, and beside every second vertex.
             lines, ends = with_zeros(
                 lines,
                 lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
@@ -220,7 +220,7 @@ def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
-    """Return the number of eigenvalues that stay negative across a segment, and how many more solutions are left than right of it.
+    """Return how many eigenvalues stay negative across a segment, and how many more solutions are on the left than on the right.
 
     The differences (2, segments) are of the numbers of all solutions and of stable solutions.
     """
@@ -237,7 +237,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
-    """Predict from curves how the numbers of (stable) equilibria change between nodes of a grid, in one array for each axis."""
+    """Predict from curves how the numbers of all and of stable equilibria change between grid nodes. Return an array for each axis."""
     result = np.zeros((2, axis.size - 1, axis.size)), np.zeros((2, axis.size, axis.size - 1))
     if not lines:
         return result

@@ -18,7 +18,7 @@ from ...errors import BadInput, say, text_table
 from ...files import atomic_write, writable
 
 OUT, FORCE = out_options("FILE", "the table as .csv, or as .tex for a paper")
-# A table for a paper has these columns and headings. The key is the name of the first column of the rows.
+# First column of the rows -> columns of the table for a paper, each with its heading.
 PAPER = {
     "family": {"family": "family", "motion": "motion", "conditions": "conditions", "errata": "errata"},
     "equation": {"equation": "equation", "family": "family", "printed": "as printed", "true": "as true"},
@@ -55,7 +55,7 @@ def print_conditions(options: argparse.Namespace) -> None:
 
     if options.published and options.family is not None:
         raise BadInput("--published: numbers of others belong to no family; leave out --family")
-    if options.errata in systems.names():  # for conditions --errata SYSTEM
+    if options.errata in systems.names():  # `conditions --errata SYSTEM` gives SYSTEM to --errata
         options.system, options.errata = options.errata, True
     out = options.out and writable(options.out, (".csv", ".tex"), force=options.force)
     system, number = systems.get(options.system), None

@@ -1,9 +1,9 @@
 """Wells of an energy, which hold a motion near a minimum for all time.
 
-Consider a frame that turns at the rate n about the vertical, and the angular velocity u relative to this frame. The energy
-J = u.I u / 2 + W is constant, or falls with damping. If W >= W* along the motion, then u.I u <= 2 (J - W*). A symmetric
-satellite without damping also keeps S = C w3 + k3, and the energy A u_perp^2 / 2 + W_S of its third axis. `size` is the sum
-of the magnitudes of the terms in the second derivatives of W. Rounding errors are relative to `size`.
+Consider a frame that turns at the rate n about the vertical, and the angular velocity u relative to this frame. With the amended
+potential W, the energy J = u.I u / 2 + W is constant, or falls with damping. If W >= W* along the motion, then u.I u <= 2 (J - W*).
+A symmetric satellite without damping also keeps S = C w3 + k3, and the energy A u_perp^2 / 2 + W_S of its third axis, where W_S
+depends on S. `size` sums the magnitudes of the terms in the second derivatives of W. Rounding errors are relative to `size`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SWEEPS = 6  # largest number of sweeps of Jacobi's method
 
 
 def in_space(body, w, gamma):
-    """Return bounds of a body about a fixed point near a rotation about the vertical. With damping the frame is at rest."""
+    """Return bounds of a motion near a rotation about the vertical, for a body with a fixed point. With damping the frame is at rest."""
     inertia, rotor, z = body.inertia, body.rotor, gamma
     momentum = dot(plus(times(inertia, w), rotor), z)
     n = dot(times(inertia, w), z) / dot(times(inertia, z), z)
@@ -48,7 +48,7 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        if step < 2:  # J - W* is least for the n at which the minimum has the momentum of the start.
+        if step < 2:  # J - W* is least for the rate n at which the minimum of W has the start's momentum.
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
             n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
@@ -104,7 +104,7 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Return bounds near any minimum of W, from W - W* >= l d^2 / 2 - M d^3 / 6 - g d after a turn by the angle d."""
+    """Return bounds near any minimum of W, from W - W* >= `least` d^2 / 2 - M d^3 / 6 - `slope` d after a turn by the angle d."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)

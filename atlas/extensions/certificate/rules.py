@@ -45,7 +45,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
     """Return what can be proved for a body in a frame of two directions."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
-        # The energy does not change with a turn about the axis, but the other rules need an isolated minimum.
+        # No minimum is isolated, because turns about the axis keep the energy. The other rules need an isolated minimum.
         bounds = symmetric(body, w, alpha, gamma)
         return with_bounds(proofs, Proof.ENERGY, bounds, frame_rate, tolerances)
     if not (body.damping >= 0 and is_slow(body, w, scaled(body.turn, gamma), tolerances)):
@@ -57,7 +57,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the rates at the start are within the tolerance. If not, no limit within the tolerance holds for all time."""
+    """Whether the kinetic energy at the start allows rates within the tolerance. If not, the energy proves no label."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 

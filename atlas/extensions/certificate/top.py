@@ -20,7 +20,7 @@ def top(body, w, gamma, tolerances):
     p, q, r = w
     g1, g2, x0 = gamma
     sine2 = g1**2 + g2**2
-    # The potential is V(x0) + v1 y + v2 y^2 with y = x - x0, and a is A psi' sin^2 at the start.
+    # The potential is V(x0) + v1 y + v2 y^2 with y = x - x0, and a is A psi' sin(theta)^2 at the start.
     v2 = 0.5 * body.gamma.gradient * (C - A)
     v1 = body.gamma.field[2] + 2 * v2 * x0
     S, a, e = C * r + body.rotor[2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
@@ -58,7 +58,7 @@ def top(body, w, gamma, tolerances):
     # f(y) is at most (y - low) (high - y) times minus the second divided difference of f at y, low and high.
     bent = -f2 + 3 * abs(f3) * farthest + 6 * abs(f4) * farthest**2 + errors[2]
     theta_dot = half * np.sqrt(larger(bent, 0.0) / least) / A
-    # Extrema of psi' = (K - S x) / (A sin^2) and of x psi' are at the ends, or where the derivatives vanish.
+    # Extrema of psi' = (K - S x) / (A sin(theta)^2) and of x psi' are at the ends, or where the derivatives vanish.
     K, n = a + S * x0, a / (A * sine2)
     constants = a, S, A, sine2, x0, low, high
     psi_least, psi_largest = phi_least, phi_largest = np.inf, -np.inf
@@ -86,7 +86,7 @@ def top_end(f, errors, sine2, x0, sign):
 
 
 def change_of_psi(which, over, other, constants):
-    """Return a y where psi' or x psi' may be extremal, and the change of psi' there. y is an end, or the derivative vanishes at y."""
+    """Return y = x - x0 at an end of the range or at a zero of the derivative of psi' or x psi', and the change of psi' from x0 to x."""
     a, S, A, sine2, x0, low, high = constants
     y = low if which == 0 else high
     if which > 1:

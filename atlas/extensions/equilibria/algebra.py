@@ -148,7 +148,7 @@ def attitudes(frames: Array) -> dict[str, Any]:
 def stability_at_rest(
     system: Gyrostat, members: Points, start: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Return stability and frequencies of equilibria, with the angles and rates `start` of the bodies `members`, (E,)."""
+    """Return stability and frequencies of E equilibria. `members` has their bodies, and `start` has their angles and rates."""
     rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)
@@ -172,9 +172,9 @@ def equilibria_of_bodies(
 
     A secular equation gives the equilibria of bodies whose symmetry about an axis is exact to the last bit. A list is complete if two
     tests pass. The sum of (-1)^index must have the value of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of an axis of symmetry.
-    The sign of every eigenvalue of the Hessian must be certain. Near a symmetry this needs moments that differ by 1e-12, and near a
-    bifurcation solutions that are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and solutions that merge are listed once, as
-    degenerate. Bodies with A = B = C, without an orbit, or with a lost path are searched one by one, in about 70 ms each.
+    The sign of every eigenvalue of the Hessian must be certain. Near a symmetry, moments must therefore differ by 1e-12 of the largest
+    moment. Near a bifurcation, solutions must be 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and solutions that merge are
+    listed once, as degenerate. Bodies with A = B = C, without an orbit, or with a lost path are searched one by one, in about 70 ms each.
 
     `pause` is called at least once a second and may raise an exception. `stability` asks for the variables `STABILITY`. `ordered`,
     see `homotopy.solve`, adds attitudes near complex solutions, with index -1. The arrays (bodies, places) are in the order of the

@@ -48,7 +48,7 @@ _GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at the end 
 # A solution with imaginary parts below `_REAL` is real. Imaginary parts between `_REAL` and `_DISTINCT`, or distances of solutions
 # below `_DISTINCT`, leave the number of real solutions uncertain.
 _REAL, _DISTINCT = 1e-9, 1e-5
-_MERGED = 1e-4  # If this number is uncertain, closer solutions count as one, and smaller imaginary parts count as 0.
+_MERGED = 1e-4  # If the number of real solutions is uncertain, closer solutions count as one, and smaller imaginary parts as 0.
 _NEARLY_REAL = 1.0  # largest imaginary part of a solution that counts as nearly real
 
 
@@ -148,7 +148,7 @@ def _follow(
         now, length = t[active], np.minimum(step[active], 1 - t[active])
 
         def rate(a: Complex, g: Complex, s: Array, dI=dI, dv=dv) -> Three:
-            """Return the rotation vector of the solution per unit of t."""
+            """Return the rotation vector of the solution per unit of t, at t = s."""
             return _newton(_gradient((dI, *dv), a, g), (start + s * dI, *(s * v for v in dv)), a, g)
 
         a, g = alpha[:, active], gamma[:, active]

@@ -202,7 +202,7 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
         # Lines shift each other's maxima, so that each line is refined again after the other lines are subtracted.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
-                half = coefficients[[i]] / (2 if real else 1)  # leaves the line at the opposite frequency out
+                half = coefficients[[i]] / (2 if real else 1)  # leaves out the line at the opposite frequency
                 single = (residual + np.exp(1j * np.outer(time, [frequency])) @ half) * weight
                 frequencies[i] = _refine(time, single, frequency, grid[1])
                 coefficients, residual = _fit(time, signal, frequencies, weight, real)
@@ -213,7 +213,6 @@ def _refine(time: Array, weighted: Signal, guess: float, width: float) -> float:
     """Return the frequency of the maximum of the Fourier integral within `width` of `guess`."""
 
     def negative(frequency: float) -> float:
-        """Return the negative magnitude of the Fourier integral, which is minimised."""
         return -abs(complex(np.exp(-1j * frequency * time) @ weighted))
 
     result = minimize_scalar(

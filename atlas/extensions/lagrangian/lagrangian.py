@@ -406,7 +406,7 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """Return the numbers of tangents and multiple angles, of functions, of operations if repeated parts count once, and of operations."""
+    """Return four counts: tangents plus multiple angles, functions, operations with repeated parts counted once, and all operations."""
     import sympy
 
     functions, multiples = expression.atoms(sympy.Function), 0

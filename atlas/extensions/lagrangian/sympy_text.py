@@ -81,7 +81,7 @@ def function_text(
     constants: Sequence[Expression],
     shapes: Iterable[Expression],
 ) -> str:
-    """Return the source of a function of an expression, or of a tuple of expressions. Repeated parts get names.
+    """Return the source of a function that evaluates an expression or a tuple of expressions. Repeated parts get names.
 
     If an expression contains no state, the term 0.0 * symbol with a symbol from `shapes` gives the value the shape of a state.
     """

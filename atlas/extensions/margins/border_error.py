@@ -1,4 +1,4 @@
-"""Errors of the borders of a map, from cells across a border, curves of theory beside it, and changes at half the step."""
+"""Errors of the borders of a map, from the size of cells, distances to curves of theory, and changes at half the step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ...flags import Status
 from ...systems.base import Array, families_of
 
 BORDER = ["first", "second", "curve"]  # flags on both sides, kind of the nearest curve of theory
-# Variables along each axis are statistics of columns of the table of pairs of neighbours.
+# Variable along each axis -> column of the table of pairs of neighbours, and statistic of the column.
 OF_AXES = {
     "pairs": ("half", "count"),
     "half_cell": ("half", "max"),
@@ -98,12 +98,12 @@ def border_error(
     Returns
     -------
     Dataset
-        `str` of the dataset, or of a part such as ``.isel(border=0)``, is a sentence to cite. Variables over "border", with the
-        longest border first, are `first` and `second`, the flags on both sides, and `curve`, the kind of the nearest line of
-        `boundary()`. Variables over "border" and "axis" are `pairs`, the number of pairs of neighbours on both sides of the border,
-        `half_cell`, and `distance_median` and `distance_largest` between the middle of a pair and the curve. `points_checked`
-        and `points_changed` count the points of the whole run that were checked at half the step, and those with another label.
-        With check_half_step = "all", `checked` counts the points of the pairs, and `sensitive` those that are sensitive to the step.
+        `str` of the dataset, or of a part such as ``.isel(border=0)``, is a sentence to cite. The longest border is first. Over
+        "border" there are `first` and `second` (flags on the two sides) and `curve` (kind of the nearest line of `boundary()`).
+        Over "border" and "axis" there are `pairs` (number of pairs of neighbouring points across the border), `half_cell`,
+        `distance_median` and `distance_largest` (from the middle of a pair to the curve). `points_checked` counts the points of the
+        whole run that were checked at half the step, and `points_changed` counts the checked points whose label changed. With
+        check_half_step = "all", `checked` counts the points in pairs, and `sensitive` counts the points that depend on the step.
     """
     plane, dims, panels = plane_of(ds, x, y, select or {}, degrees=degrees)
     for dim in panels:

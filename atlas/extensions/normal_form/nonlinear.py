@@ -296,7 +296,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
     """Return the terms of {H3, chi} / 2: rows of indices a, b, c, e and d; factors; and the first term of each of `_MONOMIALS`.
 
-    A term is factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d), with third derivatives t by zeta and the conjugate zeta_d*.
+    A term is factor * t_abd t_ced* / (rate_c + rate_e - rate_d). Here t has the third derivatives of H3, and d* means conj(zeta_d).
     """
     indices: list[tuple[int, ...]] = []
     weights, starts = [], []

@@ -57,7 +57,7 @@ HATCHED = {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}  # reg
 
 
 def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """Return all that a page shows. `motions` is a result of `motion_table`, or {"fault": reason}. Commands name the atlas `file`."""
+    """Return all that a page shows. `motions` is a result of `motion_table`, or {"fault": reason}. Commands open the atlas `file`."""
     ds, system, attributes = layout.ds, layout.system, layout.ds.attrs
     notes = list(layout.notes)
     if "atlas_scene" not in attributes:

@@ -93,7 +93,7 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
 def atlas_page(
     ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS, degrees: bool | None = None
 ) -> Page:
-    """Make the page of an atlas. Commands that the page shows name the atlas `file`."""
+    """Make the page of an atlas. Commands on the page open the atlas `file`."""
     system, scene = system_of(ds), scene_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
     method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
@@ -121,7 +121,7 @@ def atlas_page(
 
 
 def _fallback(layout: Layout) -> str:
-    """Return a picture of the map for readers without scripts, as a data address."""
+    """Return a picture of the map for readers without scripts, as a data URL."""
     middle = layout.ds.isel({dim: layout.ds.sizes[dim] // 2 for dim in layout.panel_dims})
     buffer = io.BytesIO()
     figure = atlas_map(middle, map_variable(layout.whole), width="page", degrees=layout.degrees)

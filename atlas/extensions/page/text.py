@@ -1,4 +1,4 @@
-"""Texts with formulas as runs of letters, which a page sets without a mathematical typesetter."""
+"""Runs of equal style in texts with formulas. A page shows the runs without a mathematical typesetter."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ RAISED, LOWERED = 1, -1
 def text_runs(text: str) -> list[Run]:
     r"""Return the runs of equal style in a text such as "$\theta_0$ (rad s$^{-1}$)", which is in Matplotlib's notation.
 
-    A run has the keys "t" for letters, "i" for true if italic, and "s" for 1 if raised, -1 if lowered. Unknown commands become names.
+    A run has the keys "t" (letters), "i" (true if italic) and "s" (1 if raised, -1 if lowered). Unknown commands become names.
     """
     parts = text.split("$")
     if len(parts) % 2 == 0:  # an unpaired dollar sign is a letter

@@ -24,7 +24,7 @@ from .flow import SIZE
 from .orbits import Family, Orbit, Solution
 
 NODES, MOST_NODES = 5, 40
-# Nodes are added if two nodes are more than SEGMENT periods of the birth apart, or if changes grow there by more than EXPANSION.
+# Nodes are added if the mean segment exceeds SEGMENT periods of the birth, or if a segment amplifies changes by more than EXPANSION.
 SEGMENT, EXPANSION = 0.3, 60.0
 # Length and number of the first steps, which give the slope at the birth; longest and shortest step; largest number of steps.
 FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
@@ -35,13 +35,13 @@ FAST = 12.0  # a family is unbounded if a rate exceeds this multiple of `Flow.ra
 SLOW = 1.5e-3  # a steady motion may be near an orbit whose least speed is below this fraction of the largest
 COMPLETE = 3.0  # pairs of events within a step are looked for up to this period, in periods of the birth
 LATER = 3.0  # beyond COMPLETE, multipliers may change this many times as much in a step
-# A pair of zeros may be where a polynomial falls below DIP times the known values. Up to PAIRED orbits are computed there, until a
-# value is below TOUCHING, which is 0 within rounding errors.
+# A function may have a pair of zeros where the polynomial through members falls below DIP times the least value of the members. Up to
+# PAIRED members are computed there, until a value is below TOUCHING and counts as 0.
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
 SAME = 0.02  # events at a distance below this fraction of a step are the same
 RETURNED = 0.01  # states at a distance below this fraction of the size of the orbit are the same
-# The zero of a polynomial through KNOWN members is accepted if a member is nearer than NEAR times the step, and the value there is
-# below SMALL times the values at the ends.
+# The zero of a polynomial through KNOWN members is accepted if the nearest member is within NEAR times the step, and the value of
+# this member is below SMALL times the larger value at an end of the interval.
 KNOWN, NEAR, SMALL = 6, 1e-5, 1e-3
 SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # fractions of an interval that has a singular orbit
 
@@ -177,7 +177,7 @@ class Section:
         return [self.zero(value, a, b) for a, b in pairwise(self.members) if value(a) * value(b) < 0]
 
     def hides_no_pair(self, value: Value, others: Sequence[Member]) -> bool:
-        """Compute members where `value` may have a pair of zeros; return whether no pair is missed. `others` are neighbours."""
+        """Compute members where `value` may have a pair of zeros; return whether no pair is missed. `others` are members nearby."""
         middle, sign = self.start.arc + 0.5 * self.length, np.sign(value(self.start))
         for _ in range(PAIRED):
             values = [sign * value(each) for each in self.members]

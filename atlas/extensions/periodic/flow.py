@@ -29,7 +29,7 @@ RADIANS = 0.3  # largest step times the frequency bound; errors of a period are 
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the vector products of (..., 3); for few vectors `numpy.cross` takes ten times as long."""
+    """Return the vector products of arrays (..., 3). For few vectors `numpy.cross` takes ten times as long."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 

@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dgels
 from ...systems.base import Array
 from .flow import SIZE, Flow, turn
 
-ROUNDING = 1e-6  # parts of exponents below this fraction of the frequency bound may be rounding errors
+ROUNDING = 1e-6  # real or imaginary parts of exponents may be rounding errors if smaller than this fraction of the frequency bound
 # Newton's method makes at most NEWTON steps and fails at a step above TOO_FAR. It has converged at a step below CONVERGED, or at a
 # step below STALLED that hardly shrinks any more.
 NEWTON, CONVERGED, STALLED, TOO_FAR = 8, 1e-12, 1e-9, 3.0
@@ -153,7 +153,7 @@ class Family:
         return row
 
     def corrected(self, guess: Orbit, energy: float | None = None) -> Solution | None:
-        """Correct `guess` orthogonally to its tangent, or to a given `energy`, by Newton's method. Return None if this fails."""
+        """Correct `guess` by Newton's method, at the given `energy` or else orthogonally to the tangent. Return None on failure."""
         orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
         for iteration in range(NEWTON):
             residual, jacobian, matrices = self.equations(orbit)

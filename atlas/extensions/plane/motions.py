@@ -38,7 +38,7 @@ class _Steps(NamedTuple):
 
     shortest: float  # length of the shortest steps, times the norm of the system
     counts: tuple[int, ...]  # numbers of steps, divided by the least number
-    most: int  # upper limit of the least number of steps
+    most: int  # motions whose least number of steps is larger get nan
 
     def weights(self) -> Array:
         """Return the weights of the sums in two extrapolations, one with all numbers of steps, and one without the least number."""
@@ -55,7 +55,7 @@ _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
 _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
 _TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
-_CHANGE = 3.2  # largest ratio of a sum's error to its change without the longest steps (measured: 0.3)
+_CHANGE = 3.2  # assumed ratio of a sum's error to the sum's change if the longest steps are left out (measured: at most 0.3)
 # R H^-1 R is the transpose of H with exchanged halves of rows and of columns, times these signs.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
@@ -105,7 +105,6 @@ class PlaneMotions(NamedTuple):
         )  # fmt: skip
 
     def subset(self, where: NDArray[np.int64]) -> PlaneMotions:
-        """Return some of the motions."""
         return PlaneMotions._make(values[where] for values in self)
 
     @property
@@ -197,14 +196,15 @@ class PlaneMotions(NamedTuple):
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
     def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
-        """Return t and s over a libration or a whole turn, scaled where they could overflow, and the logarithm of the scale."""
+        """Return t and s as in `multipliers`, scaled where they could overflow, and the logarithm of the scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho of a turn is rho^2 - 2
+        # If half a turn has rho, the whole turn has rho^2 - 2.
+        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """Return t / c, u / c^2, log(c), and the changes of the first two without the longest steps, (5, points), nan if unknown.
+        """Return t / c, u / c^2, log(c), and how much the first two change if the longest steps are left out, (5, points), or nan.
 
         t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and c a scale.
         """

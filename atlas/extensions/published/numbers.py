@@ -19,7 +19,7 @@ from ...errors import BadInput, one_line
 
 # With these moments, (y1, y2, y3) = SCALES (p, q, r) obey y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2.
 MOMENTS, SCALES = {"A": 1.196, "B": 1.4, "C": 0.9216}, (7 / 24, 5 / 12, 7 / 25)
-# These functions take the number of a row from the values of a variable.
+# Each function reduces the values of a variable to the number that a row compares.
 TAKE: dict[str, Callable[[Any], Any]] = {"only": np.ndarray.item, "least": np.nanmin, "greatest": np.nanmax}
 TAKE["number of"] = lambda values: len(np.unique(values.round(9)))
 
@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """Return the row of a number. It agrees within half a unit of the last printed digit, or one unit of the last digit of `ours`."""
+    """Return the row of a number. The verdict allows half a unit of the last printed digit, or one unit of the last digit of `ours`."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),

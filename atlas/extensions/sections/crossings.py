@@ -27,14 +27,14 @@ NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, i
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
 NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory, of all motions and of one motion
 # A cubic nearly touches 0 if |extremum| in the middle is below TOUCHING times the larger |value| at an end. The limit is lower near
-# the ends, where the cubic is exact. The error of a cubic is a third of TOUCHING if a motion is twice as fast as the bound.
+# the ends, where the cubic is exact. If a motion is twice as fast as the bound, the error of a cubic is a third of the limit.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
 # Newton's method stops when a step is below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end.
 LAST_STEP, LAST_SHARE = 1e-7, 1e-4
 # A motion lies on the surface if |function| stays below STAYS times the derivative along a generic change of the states.
 STAYS = 1e-9
-START = 1e-9  # A crossing so near to the start, in distances of nodes, is the start itself.
+START = 1e-9  # A crossing within this fraction of the first interval is the start itself.
 
 
 @np.errstate(all="ignore")
@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # A common factor for all states would not change directions, so that each state has its own factor.
+        # Each component of the state has its own factor, because a common factor would not change the direction of a vector.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -88,7 +88,7 @@ def crossings(
 def _at(
     surface: Surface, kernel: ModuleType, motions: Ensemble, steps: Counts, spacing: Array, place: Counts, share: Array
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return state and function of the surface, with slopes by `share`, at the fraction `share` of the way between two nodes."""
+    """Return the state and the surface's function, each with its derivative by `share`, at the fraction `share` between two nodes."""
     part, steps, unit = motions.subset(place), steps[place], spacing[place]
     states, slopes = part.nodes(kernel, steps, np.maximum(share, 1e-15) * unit / steps, 2)
     state, slopes = states[:, 1], slopes[:, 1] * unit
@@ -98,7 +98,7 @@ def _at(
 def _zeros(
     at: Callable[[Counts, Array], tuple[Array, Array, Array, Array]], ends: Array, direction: int
 ) -> tuple[Counts, Array]:
-    """Return the interval of each zero in `direction`, and the place of the zero from 0 to 1, in order.
+    """Return, in order, the interval of each zero that is crossed in `direction`, and the fraction of the interval before the zero.
 
     `ends` are values and slopes at both ends of the intervals. Until Newton's method is done, a piece of an interval is cut where its
     cubic nearly touches 0, else where the cubic crosses 0.
@@ -132,7 +132,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """Return, for cubics on [0, 1], the extremum nearest to the axis, whether to cut there, and an approximate zero."""
+    """Return, for cubics on [0, 1], where an extremum comes nearest to 0, whether to cut the piece there, and an approximate zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])

@@ -310,7 +310,7 @@ def either(words: Iterable[str]) -> str:
 def writable(
     name: str | Path, suffixes: Collection[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """Return the path of a file to write. Raise BadInput for a wrong suffix, an input, or without `force` an existing file."""
+    """Return the path of a file to write. Raise BadInput for a wrong suffix, an input file, and an existing file unless `force`."""
     path = Path(name)
     if path.suffix.lower() not in suffixes:
         raise BadInput(f"{path}: the name must end in {either(suffixes)}")

@@ -147,7 +147,7 @@ class OrbitStability(Flag):
 
 
 class EventsComplete(Flag):
-    """Whether all events of a family are listed at periods below three times the period with which the family begins."""
+    """Whether the list of events is complete for periods below three times the period with which the family begins."""
 
     NO = 0, "some may be missing"
     YES = 1, "steps of half the length find no others"

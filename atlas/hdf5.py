@@ -46,7 +46,7 @@ def check_path(path: Path | str) -> None:
 def unreadable(
     path: Path | str, error: Exception, what: str = "not a NetCDF file that can be read"
 ) -> BadInput:
-    """Return BadInput for an error of reading a file. The message says that the file is locked, or else `what`."""
+    """Return BadInput for a file that could not be read. The message says that the file is locked, or else `what`."""
     if isinstance(error, BadInput):
         return error
     return BadInput(f"{path}: {locked_text(path) or f'{what} ({one_line(error)})'}")
@@ -117,7 +117,7 @@ def _check_objects(path: str, *_: int) -> None:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file has a name in OWN, as atlases have. A file that cannot be opened is searched for the bytes of OWN[0]."""
+    """Whether a file has the attribute OWN[0] or the group OWN[1]. A file that cannot be opened is searched for the bytes of OWN[0]."""
     from h5py import h5a, h5g
 
     try:

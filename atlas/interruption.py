@@ -25,7 +25,7 @@ MESSAGE = "finished work is kept, and no file is half written"
 # A process that does not react ends GRACE_PERIOD seconds after a signal. Finding or printing the message may take MESSAGE_PERIOD.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # by which batch systems announce the end of a job
+STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # batch systems send these before the end of a job
 
 _received = signal.SIGINT  # the signal of SIGNALS that was received last
 stopped_by = ""  # set to "by SIGUSR1", for example, after a signal of STOPS; then no tile begins

@@ -127,7 +127,7 @@ def integrate(
     """Integrate every point of a schedule, and write states and sums into `arrays`.
 
     `segment` is the range of nodes of each block, by default the whole run. `threads.progress` counts point-steps. If threads.count
-    is None, the calling thread takes up to FEW point-steps itself. After a KeyboardInterrupt, running calls of the kernel end first.
+    is None, the calling thread does work of at most FEW point-steps itself. After a KeyboardInterrupt, running calls end first.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN

@@ -42,8 +42,8 @@ class Plug(Protocol):
         The function is pasted into the kernel. The sums begin at row s, the constants at row g. The nodes of a run, numbered 0 to
         `intervals`, are `spacing` apart in the kernel's unit of time. Node i is nodes[i & 3, row, l] with the rows of
         `statistics.Node`, and the other three slots hold the nodes before. Without a function (None) the constants are levels of
-        the energy, which is the first of the equations' INTEGRALS. Each sum then counts the nodes with more energy than the
-        level, among every `integrate.NODES_PER_LEVEL`-th node.
+        the energy, which is the first of the equations' INTEGRALS. Only every `integrate.NODES_PER_LEVEL`-th node is then
+        examined, and each sum counts the nodes with more energy than one of the levels.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
@@ -128,8 +128,8 @@ class Ensemble:
     ) -> Integration:
         """Integrate every point. `threads.progress` counts point-steps.
 
-        `cylinder` is a radius in rad. A run may end early if the root mean square of theta' over the whole run will certainly
-        exceed `early_stop_rate` outside the cylinder. By default every run is whole.
+        `cylinder` is a radius in rad. A run may end early once sin theta has exceeded twice the radius, and the root mean square of
+        theta' over the whole run will certainly exceed `early_stop_rate`. By default every run is whole.
         """
         arrays = self.arrays(kernel, step_sizes.step_size, cylinder, step_sizes.nodes_per_period)
         nodes = step_sizes.intervals + 1
@@ -191,8 +191,8 @@ class Ensemble:
         """Integrate in SEGMENTS, and return the number of nodes that each point reaches.
 
         All weights are positive, so that the sum of theta'^2 only grows. (The correction of a passage near the vertical removes at
-        most one sample.) A point drifts if the sum exceeds the limit of the whole run, and if sin theta was above twice the radius
-        of the cylinder. A return would change theta by more than the radius. Whole runs have the same bits as in a single call.
+        most one sample.) A point drifts once the sum exceeds the limit of the whole run and sin theta has exceeded twice the radius
+        of the cylinder. A later entry into the cylinder counts as drift, too. Whole runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
@@ -224,7 +224,7 @@ class Ensemble:
 
 
 def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the node that a run reaches after the fraction `share` of all nodes, or 0 if the node is before MIN_NODES."""
+    """Return the node after the fraction `share` of a run, or 0 if this node is before MIN_NODES and is not the end of the run."""
     end = np.ceil(share * nodes).astype(np.int64)
     return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
 

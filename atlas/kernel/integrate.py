@@ -136,7 +136,7 @@ def sample_weights(samples, j, spacing):
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     """Integrate blocks from `first_node` up to but without `last_node`, both of shape (blocks,).
 
-    A run from node 0 to node steps / steps_per_sample may take several calls, with the same bits. `arrays.rule` is a `Quadrature`.
+    Several calls for the nodes 0 to steps / steps_per_sample of a run give the same bits as one call. `arrays.rule` is a `Quadrature`.
     """
     full_vectors()
     points, steps, steps_per_sample = schedule
@@ -174,7 +174,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             slot, last = i & 3, i + 1 == last_node[block]
             evaluate_node(nodes, slot, slopes, state, constants, inverse_unit)
             add_node(stats, nodes, slot, node_weights[rule, rule_position(i, intervals)], cylinder_squared)
-            if i >= 3:  # treats the middle of three intervals, and at an end of the run the outer one
+            if i >= 3:  # treat the middle one of three intervals, and at an end of the run the outer one too
                 slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     position = rule_position(interval, intervals)

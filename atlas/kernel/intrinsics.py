@@ -16,7 +16,7 @@ def full_vectors(typingctx):
     """Let the calling kernel use the processor's longest vectors, and align the stack of the kernel to 64 bytes.
 
     On Intel's processors LLVM by default uses half of the length of AVX-512, so that rk8 needs 1.8 times as long. LLVM aligns
-    spilled vectors only if another object on the stack is aligned. A vector across two cache lines costs up to a fifth.
+    spilled vectors only if another object on the stack is aligned. A vector across two cache lines costs up to a fifth of the time.
     """
 
     def generate(context, builder, signature, arguments):

@@ -228,7 +228,7 @@ def _kernel(module: ModuleType, source: str) -> Any:
 
 
 def _define(source: str, module: ModuleType, *, functions: bool) -> None:
-    """If `functions`, define the functions that the kernel calls, else the rest. Decorating functions takes 0.1 s."""
+    """If `functions` is true, define the functions that the kernel calls, which takes 0.1 s. Else define the rest of the source."""
     *callees, kernel = _statements(source)
     body = [node for _, node, _ in callees if functions == isinstance(node, ast.FunctionDef)]
     body += [] if functions else [kernel.node]
@@ -359,7 +359,7 @@ def _remove(path: Path) -> None:
 
 
 def cached() -> dict[str, int]:
-    """Return the size in bytes of each kernel, and of each function that kernels share, in the cache, by name."""
+    """Return the sizes in bytes, by name, of the cached kernels and of the cached functions that kernels share."""
     sizes = {}
     for path in sorted(cache_folder().glob("atlas_[fk]*")):
         files = [path, *path.rglob("*")]  # earlier versions had a folder for each kernel

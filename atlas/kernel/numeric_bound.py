@@ -23,7 +23,7 @@ from .tableaux import Method
 # The mean time between samples is SAMPLE_RADIANS divided by the frequency bound. This is short enough to show that a motion becomes
 # faster, as on an eccentric orbit before the pericentre, while the steps still resolve the motion.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Samples are shifted by up to EARLY mean distances, because equidistant samples could meet a forcing always at the same phase.
+# Samples are early by up to EARLY times their mean distance. Equidistant samples could always meet a forcing at the same phase.
 EARLY = 0.5
 # The bound is at least this many turns per run, because a motion whose Jacobian vanishes at the start needs samples as well.
 LEAST_TURNS = 4

@@ -17,7 +17,7 @@ from enum import IntEnum
 
 import numpy as np
 
-# The error of a pole at this distance from the real axis, exp(-8 pi), is negligible.
+# A pole at this distance from the real axis causes an error of exp(-8 pi), which is negligible. The unit is the distance of two nodes.
 REACH = 4.0
 # Number of steps of Newton's method for the position of a pole. A step of Halley's method in `pole_terms` follows.
 NEWTON_STEPS = 3
@@ -40,7 +40,7 @@ PASSAGE_ROWS = max(Passage) + 1
 class Term(IntEnum):
     """Rows of the result of `pole_terms`. THETA, PSI and PHI are coefficients of 1 / (t - z) in the squares of the rates."""
 
-    Z_REAL, Z_IMAG = range(2)  # relative to the first of the four nodes
+    Z_REAL, Z_IMAG = range(2)  # complex time of the zero, relative to the first of the four nodes
     CHANGE = 2  # squared distance by which the last step moved the zero
     SIN2_THETA = 3  # sin^2 theta at the real part of the zero
     THETA_REAL, THETA_IMAG, PSI_REAL, PSI_IMAG, PHI_REAL, PHI_IMAG = range(4, 10)

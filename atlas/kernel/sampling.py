@@ -45,7 +45,7 @@ def sample(motion, cylinder_squared):
 
 
 def rule_position(i, intervals):
-    """Return the index of node or interval i in the rules of `Quadrature`. The middle of a long run has only one index."""
+    """Return the index of node or interval i in the rules of `Quadrature`. Nodes in the middle of a long run have the same index."""
     return i - min(max(intervals - LONG, 0), max(i - END, 0))
 
 
@@ -82,7 +82,7 @@ def quadrature() -> Quadrature:
 
 
 def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return, for each length of a run, the instants of the samples without both ends, in ascending order, and the weights."""
+    """Return, for each length of a run, the instants and weights of the samples between the ends, in ascending order."""
     intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
     tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)

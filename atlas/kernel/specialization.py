@@ -40,7 +40,7 @@ def source(
     plugs: tuple[Plug, ...] = (),
     of: ModuleType | None = None,
 ) -> str:
-    """Return the text of the kernel of a system. `of` is the kernel module, and `plugs` are instruments in the kernel."""
+    """Return the source of a system's kernel. `of` is the template, such as `integrate`, and `plugs` are instruments in the kernel."""
     if of is None and system.observables:
         from . import observe as of
     zero, equal = specialization.zero, dict(specialization.equal)

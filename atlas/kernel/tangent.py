@@ -35,7 +35,7 @@ from .generated import (
 
 
 class Growth(IntEnum):
-    """Rows of the sums: L, the integral of L, Y, the integral of Y, the largest L and the largest decrease of L (drawdown)."""
+    """Rows of the sums: log growth L and its integral, MEGNO and its integral, largest L, largest decrease of L (drawdown)."""
 
     LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN = range(6)
 

@@ -196,7 +196,7 @@ class _Labels:
     transient: Duration
     threads: int | None
     progress: bool
-    source: Any  # table of the points, which messages name
+    source: Any  # table of the points; messages name a line of the table
     warnings: list[str] | None  # list to which warnings about the points are added
 
     def __call__(self, *arrays: Array) -> tuple[np.ndarray, ...] | np.ndarray:

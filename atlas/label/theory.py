@@ -44,7 +44,7 @@ from .plan import Plan
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
 # If halving the step changes the rms of theta' by more than this fraction, errors decide how a motion leaves an unstable motion.
 HALF_STEP_RTOL = 0.05
-# An exact motion about other axes is sampled at _SAMPLES times. The error is _SAMPLING_ERROR times the spread of the samples.
+# `_statistics` samples a motion at _SAMPLES times. The error of a statistic is _SAMPLING_ERROR times the spread of the samples.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
 
@@ -53,7 +53,7 @@ class Prediction:
     """Predictions of theory for a set of runs. Arrays have shape (points,)."""
 
     variables: Mapping[str, np.ndarray]  # predicted labels, family, stable and growth_rate
-    motion: TwoAxes | None  # axes and rates before the nudge, or None if families decide
+    motion: TwoAxes | None  # axes and rates before the nudge, or None if families replace the equations
     test: SteadyTest
     answer: Flags  # values of `Existence` that `predict_labels` returns
     family_residual: Array  # residual of the family's conditions before the nudge
@@ -260,7 +260,7 @@ def exact_labels(
     duration: Array,
     tolerances: Tolerances,
 ) -> dict[str, Flags]:
-    """Return the labels of exact motions, which follow from their statistics.
+    """Return the labels that follow from the statistics of exact motions.
 
     Where `elsewhere` is true, a motion is about axes other than the third and the vertical, and its statistics are sampled. A label
     that the sampling error could change is not_computed. If `motion` is None, motions about other axes are labelled drifting.
@@ -288,7 +288,7 @@ def exact_labels(
 
 
 def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
-    """Return the angular velocity in the frame and the vertical of the frame, both at the start and along body axes, (3, points)."""
+    """Return the body components, (3, points), of the angular velocity relative to the frame and of the vertical at the start."""
     motion = system.equations.frame_motion(system.initial_state(points), system.constants(points))
     return np.array(motion[:3]), np.array(motion[3:])
 
@@ -316,7 +316,7 @@ def _statistics(
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
-    """Return the results of `System.identify_family`, the family and the residual of each start, with family 0 (none) out of range."""
+    """Return family and residual of each start by `System.identify_family`. The family is 0 (none) where formulas may overflow."""
     family, residual = system.identify_family(points)
     return np.where(within_range(system, points), family, 0).astype(np.int8), residual
 

@@ -90,7 +90,7 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
 def circle_axes(
     equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
 ) -> Array:
-    """Return the constants in a frame, (len(Axis), points). The angular velocity in the frame is u + frame_rate * vertical."""
+    """Return the constants in a frame, (len(Axis), points). There frame_rate * vertical is added to the angular velocity."""
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
@@ -123,8 +123,8 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
     `radius_std` are the root mean square and the deviation of the distance of u from the line along s. `spin` and `spin_std` are the
     rate of the body about s and the deviation of this rate. `rate_1` to `rate_3` are the mean of u along the body axes.
     `spin_axis_1` to `spin_axis_3` are the components of s, of either sign, along the body axes. Three statistics are angles in rad
-    from the vertical at the start. `precession_inclination` belongs to the axis fixed in the frame, which follows from s and `spin`,
-    `rotation_inclination` to u, and `tilt` to the third body axis.
+    from the vertical at the start. `tilt` is the angle of the third body axis, `rotation_inclination` is the angle of u, and
+    `precession_inclination` is the angle of the axis that is fixed in the frame. The latter axis follows from s and `spin`.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight

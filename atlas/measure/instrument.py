@@ -320,11 +320,11 @@ class Instrument:
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return expected errors of the rules' statistics. `relative` is the largest `relative_error` of this or an earlier instrument."""
+        """Return expected errors of measurements that decide labels. `relative` is the largest `relative_error` up to this instrument."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return the largest values that rounding alone can give to the rules' statistics. `relative` is a relative rounding error."""
+        """Return the largest values that the relative rounding error `relative` alone can give to measurements that decide labels."""
         return {}
 
     def relative_error(self, run: Run) -> Array:
@@ -405,7 +405,7 @@ class MainInstrument(Instrument):
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Return how much the rules' statistics differ between two runs. An instrument may estimate the differences from `relative`."""
+        """Return how much two runs differ in measurements that decide labels. An instrument may estimate the differences from `relative`."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

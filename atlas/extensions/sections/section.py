@@ -35,8 +35,8 @@ OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body k
 DIMS = ("point", "crossing")
 AT, LENGTH = "atlas_section", "atlas_duration"  # names of attributes of a section
 MAX_VALUES = 10**8  # largest number of values of each kept quantity
-# The error of the first run is estimated as this share of the difference of both runs. Errors of the steps are at most a sixth of the
-# difference (rk4), and rounding errors may be larger.
+# The error of a run is estimated as this share of the difference from a run with longer steps. Errors of the steps are at most a
+# sixth of the difference (rk4), and rounding errors may be larger.
 SHARE = 0.2
 SPREAD = 1e-6  # A warning follows if first integrals of the points differ by a larger fraction of their size.
 
@@ -181,7 +181,7 @@ def section(
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
-    """Return the range over the starts of each first integral that stays constant, relative to the size of the integral."""
+    """For each first integral that stays constant, return the range of the values at the starts, divided by the largest size."""
     equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)

@@ -42,7 +42,7 @@ _TOPS_IN_SPACE: Mapping[str, tuple[str, Mapping[str, float]]] = {
 }
 
 
-# Cases that both systems have, with description and duration.
+# Description and duration of cases that satellites and bodies about a fixed point have in common, by name.
 _SHARED: Mapping[str, tuple[str, ArrayLike]] = {
     "stiff rotor": ("rotor frequency over the slow one", np.minimum(20, 2e3 / FAST)),
     "stiff spin": ("fast spin with the rotor against it: the axis moves slowly", np.minimum(20, 2e3 / FAST)),
@@ -66,7 +66,7 @@ _SHARED: Mapping[str, tuple[str, ArrayLike]] = {
 
 
 def _shared(name: str, /, **row: Any) -> StressCase:
-    """Return a case that both systems have. `row` contains parameters of one system, and attributes of StressCase."""
+    """Return the case `name` of _SHARED. `row` contains parameters of one system, and attributes of StressCase."""
     attributes = {key: row.pop(key) for key in ("solve", "additions", "may_stay_unresolved") if key in row}
     return StressCase(name, *_SHARED[name], row, **attributes)
 
@@ -161,7 +161,7 @@ def _unstable_satellites(system: Gyrostat) -> tuple[dict[str, Array], Array]:
 
 @cache  # The search for unstable equilibria takes a second.
 def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
-    """Return cases of satellites without motions in the plane of the orbit, see System.stress_cases."""
+    """Return cases of satellites, see System.stress_cases. Motions in the plane of the orbit are in the module `plane_cases`."""
     steady, spherical = ("perp_velocity", "k3"), ("spherical", "k3")
     tilted = {"theta0": 0.6, "psi0": 0.3, "m": 0.5}
     hyperbola = {"theta0": 0.8, "psi0": np.pi / 2, "C": 0.7}  # a stable perp_velocity motion
@@ -205,7 +205,7 @@ def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
         _shared("overflow", theta0=0.5, k1=[1e200, 0.0, 0.0, 0.0], m=[0.0, 1e300, 0.0, 0.0],
                 mu1=[0.0, 0.0, 1e300, 0.0], h1=[0.0, 0.0, 1e300, 0.0], n=[0.0, 0.0, 0.0, 1e160],
                 may_stay_unresolved=OVERFLOW),
-        # These are exact starts whose linear equations have a period much longer than the run.
+        # The starts `slow` are exact. The linear equations of these starts have a period much longer than the run.
         StressCase("slow spin, unstable", "magnet across the axis, so that the linear equations are periodic",
                    duration, slow, may_stay_unresolved=GROWN),
         _departure("unstable rest, offset", "equilibria with rotor and magnet", *_unstable_satellites(system)),

@@ -2,7 +2,7 @@
 
 The motions check the equations and the statistics of the kernel, and use neither. A motion is made for one point and called with
 an array of times. The angles are Euler's. The vertical in body axes is gamma = (sin theta sin phi, sin theta cos phi, cos theta),
-and the angular velocity is w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0). Units are consistent, and angles in rad.
+and the angular velocity relative to the frame is psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0). Angles are in rad.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class EulerMotion(NamedTuple):
     theta_dot: Array  # rad per time unit, like all rates
     psi_dot: Array
     phi_dot: Array
-    normal_rate: Array  # w'.gamma
+    normal_rate: Array  # rate about the vertical, relative to the frame
     cos_theta_dot: Array  # -theta' sin theta, which is smooth even where the axis passes near the vertical
 
 
@@ -81,7 +81,7 @@ class SymmetricTop:
         low, high = 2 * np.sin(theta0 / 2) ** 2, 2 * np.cos(theta0 / 2) ** 2
         self.spin = m + n * np.cos(theta0)
         self.a = (C * self.spin + rotor) / A
-        # These are b - a and b + a.
+        # In the letters of the class docstring, these are b - a and b + a.
         self.upper, self.lower = low * (n * high - self.a), high * (n * low + self.a)
         self.flipped = weight < 0
         a, upper, lower, slope = self.a, self.upper, self.lower, np.sqrt(low * high) * theta_dot0
@@ -207,7 +207,7 @@ class FreeGyrostat:
         slope, curvature = (np.polyval(np.polyder(quartic, k), self.root) for k in (1, 2))
         self.a2, self.a3 = float(curvature / 12), float(slope / 4)
         values = [(self.a2 / 2 + self.a3 / (root - self.root), i) for root, i in roots]
-        values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # one for each root at infinity
+        values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # roots at infinity have this value
         self.both_turn = False  # whether w1 and w2 vanish at different turning points of r
         if all(value.imag == 0 for value, _ in values):
             (e1, far), (e2, _), (e3, _) = sorted(((v.real, i) for v, i in values), reverse=True)
@@ -225,7 +225,7 @@ class FreeGyrostat:
         self.turn = quarters * float(ellipkm1(self.complement)) / self.frequency
 
     def _find_phase(self, w: Array) -> None:
-        """Find the phase of the start, and the initial sign of the component of w that does not vanish at s."""
+        """Find the phase of the start, and the initial sign of the component, w1 or w2, that does not vanish at the root s."""
         A, B, C = self.inertia
         # The slope gives sn, so that the phase is exact at a turning point of r.
         distance, slope = float(w[2] - self.root), float((A - B) * w[0] * w[1] / C)

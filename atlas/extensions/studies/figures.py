@@ -37,7 +37,7 @@ BEYOND_CROSS: dict[str, Any] = {
     "linestyle": "",
 }
 
-MIN_HEIGHT = 5  # least height of a case in the figure, in points of the study
+MIN_HEIGHT = 5  # a case with fewer points is drawn as high as a case with MIN_HEIGHT points
 
 
 def stress_figure(ds: xr.Dataset) -> Figure:

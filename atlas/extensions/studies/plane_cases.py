@@ -38,7 +38,7 @@ def plane_cases(system: System) -> tuple[StressCase, ...]:
     """Return librations and rotations, some of them close to the separatrix, and small offsets from the unstable equilibrium."""
     pitch = {"A": 1.2, "B": 1.0, "C": 0.9}
     pitch_growth = np.sqrt(3 * (pitch["A"] - pitch["B"]) / pitch["C"])
-    # The rate on the separatrix is 0.75, and the rates are on both sides.
+    # The rates are on both sides of 0.75, which is the rate on the separatrix.
     body, rates = {"A": 1.0, "B": 1.3, "C": 1.6, "k3": -0.5, "mu3": 1.0, "h3": 0.4}, 0.75 + OFF_SEPARATRIX
     points = {name: np.full(rates.size, body.get(name, p.default)) for name, p in system.parameters.items()}
     period = motions(points | {"n": rates}).period()

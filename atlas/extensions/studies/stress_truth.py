@@ -25,13 +25,13 @@ from .reference import EXACT_RESIDUAL, largest_sine, reference
 
 # Runs of up to MAX_RADIANS_WHOLE rad at the frequency bound are integrated whole, longer runs only for RADIANS_OF_PART rad.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
-# The statistics that exact motions give, and their accuracy, for rates as a fraction of the frequency bound.
+# Statistics that exact motions give. EXACT_ACCURACY is the error of an angle, or of a rate divided by the frequency bound.
 EXACT_STATISTICS = (
     "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
 )  # fmt: skip
 EXACT_ACCURACY = 1e-12
-# The fraction of a run outside the cylinder is this accurate, because a node or two may lie on the wrong side of the rim.
+# The fraction of a run outside the cylinder has this error, because a node or two may lie on the wrong side of the rim.
 SHARE_ACCURACY = 0.05
 # An offset from an equilibrium is uncertain by the rounding of the state.
 STATE_ROUNDING = 3e-16

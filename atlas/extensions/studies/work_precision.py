@@ -469,7 +469,7 @@ def _error_texts(at: xr.Dataset, quantity: str) -> tuple[str, str]:
 
 
 def advice(ds: xr.Dataset) -> str:
-    """Return advice on the cheapest setting that reaches the scene's tolerance, or the error of the scene's own step."""
+    """Return advice on the cheapest setting whose error is at most the scene's tolerance, or at most the error of the scene's step."""
     name, rows, measured = ds.attrs["ladder"], summary(ds), ds.attrs["measured"]
     own = next((row for row in rows if row["own_setting"]), None)
     if name == "tolerance":
@@ -527,7 +527,7 @@ def _cheapest_text(
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _points_above(ds, row, target)
-    if above and name == "tolerance":  # for a step the target is a median, which half of the points exceed
+    if above and name == "tolerance":  # in ladders of steps, half of the points may exceed the target
         text += f"; {above} of {ds.sizes['sample']} points have larger errors, the largest at {names}"
         uncertain = np.fmax(ds["reference_error"].values, ds["reference_error_rates"].values) > target
         if uncertain.any():

@@ -247,7 +247,7 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the share of true conditions that hold in the Euler-Poisson equations, or 1 - share for the true reading."""
+    """Return the share of corrected conditions whose motions obey the Euler-Poisson equations, or 1 - share for the reading "true"."""
     kept = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in kept if "form" not in row])
     return float(share if reading == "printed" else 1 - share)

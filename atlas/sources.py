@@ -20,7 +20,7 @@ Files = dict[str, tuple[int, str]]
 
 
 def read(folder: Path | None = None) -> Files:
-    """Read the modules of a folder, by default the modules of this package on which numbers depend."""
+    """Read the modules of a folder, by default the modules on which the numbers of an atlas depend."""
     files, root = {}, PACKAGE if folder is None else folder
     patterns = NUMERIC_SOURCES if folder is None else EVERY_MODULE
     for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
@@ -43,7 +43,7 @@ def of_folder(folder: Path) -> Files:
 
 
 def changed(folders: Iterable[Path] = ()) -> list[Path]:
-    """Return the files of this package and of `folders` that have changed since they were first read. Loaded modules may differ."""
+    """Return the files of this package and of `folders` that have changed since the first reading. Loaded modules may be older."""
     states = [(PACKAGE, AT_IMPORT, read()), *((each, of_folder(each), read(each)) for each in folders)]
     return sorted(
         folder / name

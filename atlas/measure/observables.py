@@ -1,4 +1,4 @@
-"""Statistics of observables, with names, final formulas and errors, and labels of constant observables."""
+"""Names, formulas and errors of the statistics of observables, and the label, which states whether the observables are constant."""
 
 from __future__ import annotations
 

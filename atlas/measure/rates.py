@@ -161,7 +161,7 @@ class Rates(MainInstrument):
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return rounding errors of rates as large as the bound. Errors of psi' and phi' are divided by sin(theta)."""
+        """Return rounding errors for rates equal to the frequency bound. Errors of psi' and phi' are divided by sin(theta)."""
         size = run.bound * relative
         of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
         names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
@@ -259,8 +259,7 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
-    # A run that enters or leaves the cylinder has psi' in a part of the run only. Therefore theta decides, and the rate about the
-    # vertical must be steady as well.
+    # A run that enters or leaves the cylinder has psi' only in part. So theta decides, and the rate about the vertical must be steady.
     entered = _least_sine(measured) < tolerances.angle
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
     crossing = entered & (swings | (measured["normal_rate_std"] > rate))
@@ -335,7 +334,7 @@ def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
 
 
 def rounding_error(step_sizes: StepSizes) -> Array:
-    """Return the relative error of the states that rounding causes, (points,)."""
+    """Return the relative rounding error of the states, (points,)."""
     return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.whole_steps))
 
 

@@ -40,11 +40,11 @@ RELATIVE_COST = 1.5
 # by d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix and cause
 # the growth. Falls of 14 to 22 were then measured, and of at most 7 along chaotic motions.
 MAX_DRAWDOWN = 10.0
-# Bound of the growth of L in one passage of an unstable motion. Rounding keeps d^2 above 1e-16, so ln(1/d^2) < 37. 39 was measured.
+# Bound of the growth of L in one passage near an unstable motion. Growth ln(1/d^2) < 37 is expected for d > 1e-8. Up to 39 was found.
 MAX_PASSAGE_GROWTH = 50.0
 # Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR). In chaos it grows as half of L (above MIN_CHAOTIC).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
-# A chaotic run goes on until L falls by MAX_DRAWDOWN or reaches MAX_PASSAGE_GROWTH, but for at most this number of durations.
+# A chaotic run ends when L (see MAX_DRAWDOWN) falls by MAX_DRAWDOWN or reaches MAX_PASSAGE_GROWTH, or after this many durations.
 MAX_DURATIONS = 16
 
 
@@ -109,7 +109,7 @@ class TangentArrays(NamedTuple):
 
 
 def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0) -> Array:
-    """Return the unit of angular velocities in the norm of a tangent vector, the rate of the frame or else `without_frame`.
+    """Return the unit of angular velocities in norms of tangent vectors: the rate of the frame, or `without_frame` if no frame turns.
 
     The Lyapunov exponent of a finite run depends a little on this unit. The limit for long runs does not.
     """
@@ -127,7 +127,7 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            # `weights` are the factors of the components, in the kernel's units, in the norm of a tangent vector.
+            # The norm of a tangent vector is the Euclidean norm of its components in the kernel's units, each times a weight.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
             # The conversion of a state of ones gives the factors by which the units of the components change.
@@ -255,7 +255,7 @@ class TangentRuns:
         # Errors can decide how a motion leaves an unstable motion only after a tangent vector has grown.
         highest, drawdown = separation.sums[tangent.Growth.HIGHEST], separation.sums[tangent.Growth.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
-        # Chaos is certain where a vector grows by more than one passage of an unstable motion allows. Other runs go on.
+        # Chaos is certain where the growth of a vector exceeds the bound for one passage near an unstable motion. Other runs go on.
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
         log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view of the sums, like `drawdown`

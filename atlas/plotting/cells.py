@@ -268,7 +268,7 @@ DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1))
 # Lines are thinner by the factor THINNER on panels narrower than NARROW (mm).
 NARROW, THINNER = 90.0, 0.5
 # A halo keeps lines visible on dark colours. It must not hide a strip of cells along the line.
-HALO = 0.35  # width in points on each side
+HALO = 0.35  # width on each side of a line, in points
 # More than MAX_HALOED lines of a kind in KINDS, or crowded lines, have no halo, because halos would cover the cells between the lines.
 MAX_HALOED = 40
 
@@ -292,7 +292,7 @@ HATCHES = {
 
 
 def border_style(kind: str, width: float = math.inf) -> dict[str, Any]:
-    """Return the line style of a kind of border, which may be that of an extension, on a panel of `width` mm."""
+    """Return the line style of a kind of border on a panel of `width` mm. An extension may define the kind."""
     return at_width(
         {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE)), width
     )

@@ -33,10 +33,11 @@ BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every d
 SLOW = "too slow to show"
 # A region with less than this fraction of the points is not visible.
 MIN_VISIBLE = 1e-3
-# Hatching that is narrower than this fraction of the frame's side, and lines that are closer to the frame, are not visible.
+# Smallest visible width of hatching, and smallest distance of a visible line from the frame, as a fraction of the frame's side.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# Lines with a `crowding` above CROWDED have no halo. SAMPLING is the distance of samples, RETURN the least way back, in sides of a cell.
+# Lines with a `crowding` above CROWDED have no halo. Lines are sampled at a spacing SAMPLING. A line that meets a cell again after
+# more than the length RETURN crosses the cell twice. SAMPLING and RETURN are in sides of a cell.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Theory draws the borders of labels on maps of these flag variables.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
@@ -86,7 +87,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
 
 
 def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
-    """Return which fraction of the cells that lines cross is crossed twice. A tongue is narrower than such a cell."""
+    """Return which fraction of the crossed cells is crossed twice, as by both sides of a region narrower than a cell."""
     if len(edges) == 1:
         return 0.0
     samples, start = [], 0.0
@@ -140,7 +141,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes, or an axis was averaged
+    # No theory is drawn on a map over other dimensions than the scene's axes, or of values averaged over an axis.
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
@@ -174,7 +176,7 @@ def _outline(ds: xr.Dataset, name: str, dims: list[str]) -> Lines:
 
 
 def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> dict[str, Mask]:
-    """Return a mask of the cells without a value for each reason."""
+    """Return the reasons why cells are white, with a mask of the cells for each reason."""
     array = ds[name]
     flags = flag_names(array)
     if flags:
@@ -229,7 +231,7 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
 
 
 def remarks(ds: xr.Dataset, *, filled: bool) -> list[str]:
-    """Return sentences for below a map, about gaps that are filled with the nearest values and about an unfinished run."""
+    """Return sentences to print below a map, on gaps filled with the nearest values and on an unfinished run."""
     tiles = tiles_done(ds)
     sentences = []
     if filled and "computed" in ds:

@@ -306,7 +306,7 @@ def label_of(options: MapOptions, array: xr.DataArray, ds: xr.Dataset) -> str:
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """Return the axes of a scatter map, x first, by default the two coordinates with the most values. Fewer raise BadInput."""
+    """Return x and y of a scatter map, by default the coordinates with most distinct values. Raise BadInput if fewer than two vary."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
     check_axes(allowed, "a number given at each of these points", x=x, y=y)
     varied_by_scene: set[str] = set()  # parameters with a range or a column, not a formula

@@ -233,7 +233,7 @@ def wrapped(text: str, width: float, size: float, dpi: float) -> str:
         """Whether a line fits by every way of measuring. The widths of words outside formulas are summed."""
         is_math = is_math_text(line)
         if is_math and 25.4 * len(line) * size / 72 <= width:
-            return True  # not measured, which is slow; a formula draws fewer letters than its text has
+            return True  # measuring is slow, and a formula draws fewer letters than its text has
         parts = [line] if is_math else re.findall(r" ?[^ ]+", line)
         return bool(25.4 * np.sum([widths(part) for part in parts], axis=0).max() <= width)
 
@@ -313,7 +313,7 @@ def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit in UDUNITS spelling for print, with raised exponents. The text is empty for pure numbers."""
+    """Convert a unit in UDUNITS spelling to a text for print with raised exponents. The text is empty for pure numbers."""
     if unit in ("", "1"):
         return ""
     if unit == DEGREE:

@@ -209,7 +209,7 @@ class _Formatter(ScalarFormatter):
 
 
 def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: Sequence[str]) -> None:
-    """Draw the offset of a path from a direction in the plane that is perpendicular to the direction."""
+    """Draw the offset of a path from `direction`, projected onto the plane perpendicular to `direction`."""
     sine = np.hypot(direction[0], direction[1])
     if sine < SMALL:
         first, second, labels = np.eye(3)[0], np.eye(3)[1], [f"along {name}" for name in names[:2]]

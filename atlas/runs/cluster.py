@@ -46,7 +46,7 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """Connect to a scheduler, or to local processes with one thread each. A lost scheduler raises OSError, wrong TLS BadInput."""
+    """Connect to a scheduler, or to local one-thread processes. Raise OSError if the scheduler is lost, BadInput for wrong TLS settings."""
     import dask
     import distributed
     from distributed.comm.core import CommClosedError
@@ -102,7 +102,7 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
     for worker, result in client.run(check, *arguments, on_error="return").items():
         if isinstance(result, BadInput):
             raise result
-        if isinstance(result, Exception) and not isinstance(result, OSError):  # died workers give OSError
+        if isinstance(result, Exception) and not isinstance(result, OSError):  # dead workers give OSError
             raise BadInput(f"worker {worker}: {type(result).__name__}: {one_line(result)}")
 
 

@@ -209,7 +209,7 @@ def check_memory(scene: Scene) -> None:
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     """Return the bytes that a number of points with values take on the disk after compression."""
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # `derived` is not measured
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # `cost` excludes `derived`
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 

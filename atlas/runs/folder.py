@@ -86,7 +86,7 @@ def run_kept(
 
 
 def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
-    """Return the place of a run, and the path of the file or store to write, or None. Raise BadInput if these cannot be written."""
+    """Return the place of a run, and the file or store to write (None for a run folder). Raise BadInput if `out` cannot be written."""
     place = located(out)
     if isinstance(place, Path):
         check_name(place)
@@ -285,7 +285,7 @@ class _Job:
     share: range  # tiles of the shard, or all tiles of a level, because the next level needs the whole level
     execution: Execution
     level: int | None = None
-    stop: Event = field(default_factory=Event)  # is set when an error or Ctrl-C ends the job
+    stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
     own: set[int] = field(default_factory=set)  # tiles that this process wrote and read back
     totals: Totals = field(default_factory=Totals)  # sums over the tiles in `own`
 
@@ -417,7 +417,7 @@ def _compute_tile(
 
 
 def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
-    """Raise BadInput unless this worker holds the run with the given key and would compute the same bits."""
+    """Raise BadInput unless the run at `path` has this key, and this worker would compute the same bits as the run's other processes."""
     _open_cached(path, level, key, reuse)
 
 
@@ -430,7 +430,7 @@ def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple
 
 @lru_cache(maxsize=8)
 def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
-    """Return the source of the tiles of a run or level. Raise BadInput unless this process would compute the same bits."""
+    """Return the source of the tiles of a run or level. Raise BadInput as `check_worker` does."""
     run = RunFolder.open(path)
     tiles = run.tiles
     if level is not None:

@@ -1,5 +1,5 @@
 """The plan of a scene predicts steps, work and warnings from a sample of the points, and divides the grid into tiles. The identity
-of a computation names the programs and the processor on which the bits depend. This module imports no compiler.
+of a computation names the programs and the processor on which the bits of an atlas depend. This module imports no compiler.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class ScenePlan:
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Return the number of tiles that are computed at the same time. Small tiles need more than two to keep threads busy."""
+        """Return the number of tiles that are computed at the same time. The smaller the tiles, the more of them keep threads busy."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1
@@ -254,7 +254,7 @@ class ScenePlan:
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Return the versions, hashes and processor properties on which bits depend. Raise BadInput if sources changed after import."""
+    """Return versions, hashes and processor properties on which an atlas's bits depend. Raise BadInput if sources changed after import."""
     import llvmlite
     import numba
     import scipy

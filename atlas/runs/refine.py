@@ -49,7 +49,7 @@ MAX_BOX_POINTS = 2**20
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, threads: Threads, *, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """Return the finest grid of a scene with [refine], and attributes. If there is a folder, measured numbers are left out."""
+    """Return the finest grid of a scene with [refine], and attributes of the atlas. With a `folder` the grid has no measured numbers."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, integrate, folder)
@@ -97,7 +97,7 @@ class FineGrid:
             self.numbers[name].reshape(-1)[chunk] = points.base[name]
         existing = chunk.start + np.flatnonzero(points.exists)
         if existing.size:
-            # Without outputs, `log_growth` is 0 for motions about other axes than the label has, because these motions drift.
+            # Without outputs, motions about axes other than the third and the vertical count as drifting and have a `log_growth` of 0.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, (part := points.subset(points.exists)))
             for name in self.numbers.keys() & {"growth_rate"}:
@@ -146,7 +146,7 @@ class FineGrid:
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random fraction of the points with copied flags. Return the numbers of points and of wrong flags."""
+        """Integrate a random sample of the points with copied flags. Return the size of the sample, and how many copies were wrong."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()

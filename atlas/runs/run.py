@@ -134,7 +134,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
-        """Create or open the run of a scene. Raise BadInput if the path holds something else. `check` is called while waiting."""
+        """Create or open a scene's run. Raise BadInput if `path` has other content. Call `check` while another process creates the run."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):

@@ -1,4 +1,4 @@
-"""Random numbers in ties. A number depends only on a key and on values, so that order, tiles and threads do not matter."""
+"""Random numbers in ties. A number depends only on the arguments of a draw, and not on tiles, threads or the order of points."""
 
 from __future__ import annotations
 

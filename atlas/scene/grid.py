@@ -67,7 +67,7 @@ class Reason(IntEnum):
     IMPOSSIBLE_BODY = 2  # systems.base.possible_body is false
     IMPOSSIBLE_START = 3  # System.possible_start is false
     NO_MOTION = 4  # the family of the scene has no motion here
-    NO_DURATION = 5  # the duration is in turns or orbits but nothing turns, or has no finite value above 0
+    NO_DURATION = 5  # the duration has no finite value above 0, or is in turns or orbits but nothing turns
     NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a finite value above 0
     NO_TRANSIENT = 7  # the transient has no value, for the reasons of NO_DURATION
 
@@ -76,13 +76,13 @@ class Reason(IntEnum):
 class Grid:
     """Points of a scene, as columns of shape (points,)."""
 
-    base: dict[str, Array]  # values of the parameters before the nudge, which theory uses
-    points: dict[str, Array]  # values of the parameters after the nudge, at which motions start
+    base: dict[str, Array]  # parameters without the nudge, for theory
+    points: dict[str, Array]  # parameters with the nudge, for the starts of motions
     reason: Flags  # values of `Reason`, int8
     duration: Array  # in time units, nan where the duration has no value
     rate_tolerance: Array  # in rad per time unit, nan where the rate tolerance has no value
     step: Array | None = None  # step sizes in time units, which replace `settings.step`
-    transient: Array | float = 0.0  # before the run, in time units, an array or one number for all points
+    transient: Array | float = 0.0  # time before the run, in time units, of each point or of all points
 
     @property
     def until(self) -> Array:

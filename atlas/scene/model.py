@@ -109,7 +109,7 @@ def rate_text(rate_tolerance: float | str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """A dimension of the atlas. Empty texts leave the attributes of the coordinate to the parameter."""
+    """A dimension of the atlas. If `long_name` or `units` is empty, the coordinate has the attribute of the parameter."""
 
     name: str  # name of a parameter, or a name that ties use
     values: Array  # the values along the axis, all different, float64 of shape (count,)

@@ -1,4 +1,4 @@
-"""Reading of points of a user from files, data frames, datasets and mappings. Points are columns by name."""
+"""Reading of a user's points from files, data frames, datasets and mappings into a mapping of column names to values."""
 
 from __future__ import annotations
 
@@ -44,8 +44,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
 
     Columns of a Dataset are the data variables and the coordinates in `parameters` or `keep`, as DataArrays with all other
     coordinates. A single dimension is renamed "point" and loses its index, unless `parameters` or `keep` has its name. The index of
-    a DataFrame becomes a column. The column is called "point", unless `parameters` or `keep` has the name of the index. An unnamed
-    index 0, 1, 2, ... is dropped.
+    a DataFrame becomes the column "point", unless `parameters` or `keep` has the name of the index. An unnamed index 0, 1, ... is dropped.
     """
     import xarray as xr
 
@@ -62,7 +61,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
             if not any(dim in source[name].dims for name in columns):
                 raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
         if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
-            # The dataset is a list of points. An index of a single level only numbers the points.
+            # The dataset is a list of points. A single-level index merely numbers the points.
             index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
             for name in index:
                 check_name(str(name), source[name], {*parameters} - {*columns})
@@ -337,7 +336,7 @@ SEPARATORS = ("\t", ";", ",", " ")  # The first that occurs in the line of names
 INDEX = "index"  # name for an unnamed first column, which is the index in files of pandas
 # Largest numbers of characters of a line and of a table. A file that is no table may be a single line, and a pipe may have no end.
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
-MAX_COMMENTS = 20  # number of last comments before the first point that may name the columns
+MAX_COMMENTS = 20  # names of columns are sought in at most this many comments before the first point
 
 
 class CsvColumns(dict[str, Any]):

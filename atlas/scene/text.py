@@ -62,7 +62,7 @@ class Source:
     text: str
 
     def located(self, error: BadInput) -> BadInput:
-        """Return the error with the file in front, and the line of the key with which the message begins."""
+        """Return the error with the file in front. If the message begins with a key, the line of the key stands in front as well."""
         message = str(error)
         if message.startswith(self.path):
             return error
@@ -82,7 +82,7 @@ class Source:
         return self.at_line(line, message)
 
     def at_line(self, line: int | None, message: str) -> BadInput:
-        """Return a BadInput with the file in front, and the line if it is known."""
+        """Return a BadInput with the file, and the line if known, in front of the message."""
         return BadInput(f"{self.path}, line {line}: {message}" if line else f"{self.path}: {message}")
 
 

@@ -24,7 +24,7 @@ from ..variables import COMPUTED, data_variables, is_measured
 
 # Names of attributes of an atlas.
 HISTORY = "atlas_history"  # numbers of points taken from each earlier atlas
-HASH = "atlas_sha256"  # hash of the content of a finished atlas, which is written last
+HASH = "atlas_sha256"  # hash of the content, added when the atlas is finished
 VERSION = "atlas_version"
 TRANSIENT = "atlas_transient"  # missing if there is no transient
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # in stores of versions before 0.1.0

@@ -95,7 +95,7 @@ def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
 
 
 def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
-    """Return a part of joined atlases with the attributes of the part, or any other dataset. `needed` refuses joined atlases."""
+    """Return a part of joined atlases with the part's attributes, and any other dataset unchanged. If `needed`, refuse joined atlases."""
     if PARTS not in ds.attrs:
         return ds
     try:
@@ -116,7 +116,7 @@ def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
 
 
 def subject_of(ds: xr.Dataset) -> xr.Dataset:
-    """Return the dataset for methods of `ds.atlas`, with the attributes of a part and the dimension "point" for points."""
+    """Return the dataset for methods of `ds.atlas`. A part has its own attributes. A list of points has the dimension "point"."""
     ds = part_of(ds)
     dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
     if len(dims) == len(ds.dims) == 1 and {*dims, *ds.variables, *ds.attrs}.isdisjoint({POINT, PARTS}):

@@ -1,6 +1,6 @@
-"""Places of runs and atlases. A place is a folder, or an address of an object store, and holds contents by name.
+"""Places of runs and atlases. A place is a folder, or an address of an object store.
 
-Folders and object stores have the same methods. A content is the bytes of a file or object, and appears whole or not at all.
+Folders and object stores have the same methods, in which a file means a file or an object. A file appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
 # Answers of a server that another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
-CLOCK = "clock"  # name of an empty content that is written to read the clock of the storage
+CLOCK = "clock"  # name of an empty file that is written to read the clock of the storage
 
 
 def located(path: str | Path) -> Path | str:
@@ -45,7 +45,7 @@ def place_at(path: Path | str) -> Place:
 
 
 class Folder:
-    """A place whose contents are the files of a folder."""
+    """A place that is a folder."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -55,16 +55,16 @@ class Folder:
         return Folder(self.path / name)
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        """Return a content. Raise FileNotFoundError if it is missing, or ValueError if it is too long or no regular file."""
+        """Return a file's content. Raise FileNotFoundError if the file is missing, or ValueError if the file is too long or not regular."""
         return read_bytes(os.path.join(self.path, name), most)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
-        """Write or replace a content."""
+        """Write a file, or replace the content of an existing file."""
         with atomic_write(self._file(name), durable=durable) as temporary:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
-        """Write a content unless the name exists, and return whether the content was written. Claims rely on this."""
+        """Write a file unless the name exists, and return whether the file was written. Only one of several processes succeeds."""
         path = self._file(name)
         try:
             with atomic_write(path, durable=False, new=True) as temporary:
@@ -83,7 +83,7 @@ class Folder:
         return True
 
     def _file(self, name: str) -> Path:
-        """Return the path of a content and make the parent folder, unless another process has removed the whole place."""
+        """Return the path of a file and make the parent folder, unless another process has removed the whole place."""
         path = self.path / name
         if not path.parent.is_dir() and self.path.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,30 +100,30 @@ class Folder:
         return []
 
     def walk(self) -> list[str]:
-        """Return the names of all contents, including those in folders inside."""
+        """Return the names of all files, including files in folders inside."""
         start = len(str(self.path)) + 1
         return [f"{where}/{name}"[start:] for where, _, names in os.walk(self.path) for name in names]
 
     def remove(self, name: str) -> None:
-        """Remove a content, if it exists."""
+        """Remove a file, if it exists."""
         (self.path / name).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Remove all contents in one move, so that a process at work cannot leave any behind."""
+        """Remove the whole folder in one move, so that a process at work cannot leave files behind."""
         removed = temporary_path(self.path)
         with suppress(FileNotFoundError):
             os.rename(self.path, removed)
             shutil.rmtree(removed, ignore_errors=True)
 
     def stamp(self, name: str) -> object:
-        """Return a value that changes when a content is replaced, or None if the content is missing."""
+        """Return a value that changes when a file is replaced, or None if the file is missing."""
         with suppress(OSError):  # A path that is too long also raises OSError.
             status = os.stat(self.path / name)
             return status.st_ino, status.st_mtime_ns
         return None
 
     def age(self, name: str) -> float:
-        """Return the seconds since a content was written, by the clock of the storage."""
+        """Return the seconds since a file was written, by the clock of the storage."""
         return age(self.path / name)
 
     def remove_leftovers(self) -> None:
@@ -151,7 +151,7 @@ def _store(address: str) -> Any:
 
 
 class Objects:
-    """A place whose contents are objects of a store, with the methods of `Folder`."""
+    """A place in an object store, with the methods of `Folder`."""
 
     def __init__(self, address: str, prefix: str = ""):
         self.address, self.prefix, self.store = address, prefix, _store(address)
@@ -192,7 +192,7 @@ class Objects:
             self._answer("delete", name)
 
     def clear(self, *, but: str = "") -> None:
-        """Remove all contents except the content with the name `but`."""
+        """Remove all objects except the object with the name `but`."""
         if names := [self.prefix + name for name in self.walk() if name != but]:
             self._answer(lambda path, obstore: obstore.delete(self.store, names))
 
@@ -223,7 +223,7 @@ class Objects:
     def _answer(
         self, request: str | Callable[[str, Any], Any], name: str = "", *arguments: Any, **options: Any
     ) -> Any:
-        """Call a function of obstore and return its result. The call is repeated while the store does not answer; failures raise OSError."""
+        """Call a function of obstore and return the result. Calls are repeated while the store does not answer. Failures raise OSError."""
         import obstore
 
         path, began, pause, warned = self.prefix + name, time.monotonic(), FIRST_PAUSE, False

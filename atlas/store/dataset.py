@@ -164,7 +164,7 @@ def log_warnings(warnings: list[str]) -> None:
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """Return the attribute HISTORY, or no attribute if `reused` is empty. `reused` is the number of points by earlier atlas."""
+    """Return the attribute HISTORY, or no attribute if `reused` is empty. `reused` counts points taken from each earlier atlas."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
 

@@ -16,7 +16,7 @@ from ..files import is_recent
 from ..kernel import compiling
 from ..process import is_running, process_name
 
-# Seconds between two plain lines, between two updates of the live line, and between two writes of the file.
+# Seconds between two plain lines, between two updates of the live line, and between two writes of the progress file.
 PLAIN_INTERVAL = 10.0
 LIVE_INTERVAL = 0.2
 FILE_INTERVAL = 2.0
@@ -74,7 +74,7 @@ class Progress:
                 self._save(running=True)
 
     def skip(self, points: float) -> None:
-        """Count points as finished that were not computed here, and leave them out of the speed."""
+        """Raise the number of finished points by points that were not computed here. The speed leaves them out."""
         with self._lock:
             self._done_at_no_cost += points
             self._done += points
@@ -118,6 +118,6 @@ def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
 
 
 def clock(seconds: float) -> str:
-    """Return seconds as a text such as 1:02:03 or 2:03. Longer times than about 30 years are cut."""
+    """Return a time in seconds as a text such as 1:02:03 or 2:03. Times above 1e9 seconds are shown as 1e9 seconds."""
     minutes, rest = divmod(round(min(seconds, 1e9)), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"

@@ -67,7 +67,7 @@ class Totals:
     seconds: float = 0.0
     by: Counter[str] = field(default_factory=Counter)  # number of tiles by process
     cpu: Counter[str] = field(default_factory=Counter)  # number of tiles by type of processor
-    reused: Counter[str] = field(default_factory=Counter)  # number of reused points by earlier atlas
+    reused: Counter[str] = field(default_factory=Counter)  # number of points taken from each earlier atlas
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""The tile is a part of a run in a file or object. It consists of a header in JSON, columns of values, and a hash.
+"""A tile is a file or object that holds a part of a run. It consists of a header in JSON, columns of values, and a hash.
 
     {"key": ..., "tile": 12, "points": 8192, ..., "columns": {"label": ["|i1", 371], ...}}
     columns, each compressed by itself, with the first bytes of all values, then the second bytes, and so on
@@ -34,7 +34,7 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# `computed` is the number of points that have a motion, `by` the process, and `reused` the number of points by earlier atlas.
+# `computed` counts the points that have a motion. `by` is the process. `reused` counts the points taken from each earlier atlas.
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip
@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: 
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the header and the columns in `types`. Raise DamagedTile if hash or facts differ, or for over `most` points."""
+    """Return the header and the columns in `types`. Raise DamagedTile if hash or facts differ, or if points exceed `most`."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")
@@ -144,7 +144,7 @@ class Tiles:
         return header, {name: column.reshape(shape) for name, column in columns.items()}
 
     def check(self, tiles: Iterable[int]) -> tuple[Totals, dict[int, str]]:
-        """Return the totals of the sound tiles, and the reasons by damaged tile. Missing tiles are ignored."""
+        """Return the totals of the sound tiles, and the fault of each damaged tile by tile number. Missing tiles are ignored."""
         totals, damaged = Totals(), dict[int, str]()
 
         def header(tile: int) -> dict[str, Any] | None:

@@ -53,7 +53,7 @@ except ImportError:
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # A coordinate of up to this many values is a single object, which opens faster.
-# PLAIN codecs do not compress; versions before 0.1.0 used sharding_indexed. PACKING codecs do, so the unpacked size is checked first.
+# PLAIN codecs do not compress (versions before 0.1.0 used sharding_indexed). PACKING codecs compress: the unpacked size is checked.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}

@@ -121,8 +121,8 @@ class Family:
     conditions: tuple[Condition, ...] = ()
     # Formula for the value of each parameter on the family, nan where there is none. Formulas are used in the order of the mapping.
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
-    # Text on the default solution of each parameter with several solutions, or of each rate from which start values are solved.
-    # For the solution nearest to a value, points hold the value under the name and under NEAR + name; inf asks for the largest.
+    # Text on the default solution, by the name of a parameter (or of a rate in formulas for start values) with several solutions.
+    # For the solution nearest to a value (inf: the largest), points hold the value under NEAR + name, and under name if solved.
     several: Mapping[str, str] = field(default_factory=dict)
     # Functions of points that return flags.Stability and growth rates, rad per time unit. `rough_stability` has fewer digits.
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
@@ -165,7 +165,7 @@ class PublishedEquation:
     effect: str = ""  # consequence of the difference between `printed` and `true`
 
 
-# Function of names of variables, points before the nudge, duration and pause that returns values (points,) by name.
+# Function of names of variables, the points (before any nudge), the duration and `pause`. It returns values (points,) by name.
 GroupValues = Callable[[Collection[str], Points, Array, Callable[[], None]], Mapping[str, NDArray[Any]]]
 
 
@@ -176,8 +176,8 @@ class DerivedVariable:
     name: str
     unit: str
     long_name: str
-    # Function of points before the nudge, duration and pause that returns values (points,). A long computation calls pause()
-    # at least once a second. If the run was interrupted, pause() raises an exception.
+    # Function of the points (before any nudge), the duration and `pause`. It returns values (points,). A long computation calls
+    # pause() at least once a second. If the run was interrupted, pause() raises an exception.
     values: Callable[[Points, Array, Callable[[], None]], NDArray[Any]]
     comment: str = ""
     # Raises BadInput if the variable is undefined or takes too long at some points and durations.
@@ -282,7 +282,7 @@ class System(ABC):
     - ``frame_motion``, unless the system has `observables`: angular velocity of the body relative to the frame
       (rad per time unit) and the unit vector of the frame's vertical, three components each, in body axes;
     - one function for each observable that is not a state;
-    - ``INTEGRALS`` (optional): name of each first integral -> its power of a rate;
+    - ``INTEGRALS`` (optional): name of each first integral -> exponent of 1 / time in its unit;
     - ``LOSSES`` (optional): name of a first integral that dissipation changes -> name of the function for its loss per
       time, a number; the integral plus its accumulated loss is constant;
     - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;
@@ -382,7 +382,7 @@ class System(ABC):
         Returns
         -------
         sin_theta, n, m : arrays (points,)
-            A pure number, and two rates in rad per time unit. The default computes them from the initial state. Where
+            A pure number, and two rates in rad per time unit. By default the initial state gives all three. Where
             the third axis is exactly vertical, n is 0 and m is the whole rate. All are 0 without ``frame_motion``.
         """
         if self.observables:
@@ -438,7 +438,7 @@ class System(ABC):
 
     @_or_extension
     def equilibria(self, body: Mapping[str, float]) -> Mapping[str, NDArray[Any]]:
-        """Return all relative equilibria or permanent rotations of one body, which an extension computes by default.
+        """Return all relative equilibria or permanent rotations of one body. By default an extension computes them.
 
         Parameters
         ----------
@@ -770,7 +770,7 @@ def on_family(family: Family, points: Points) -> Array:
 
 
 def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:
-    """Return the angular velocity relative to the frame and a vector at rest in the frame, in body axes at times `t`.
+    """Return, in body axes at times `t`, the angular velocity relative to the frame, and `vector`, which rests in the frame.
 
     The body turns by m t about `spin_axis` and then by n t about `fixed_axis`.
     """

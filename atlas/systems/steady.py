@@ -21,7 +21,7 @@ GATE = 1e-6
 
 @cache
 def polynomial_degree(system: System) -> int | str:
-    """Return the degree of the right-hand side in the states, or a sentence that says why the theorem does not apply."""
+    """Return the degree of the right-hand side in the states, or a text on why the theorem of theory/steady.py does not apply."""
     equations = system.equations
     vectors = {name for triple in getattr(equations, "FRAME_VECTORS", ()) for name in triple}
     if system.observables or len(system.rate_states) != 3 or not vectors:
@@ -72,7 +72,7 @@ def growth_about_vertical(system: System, points: Points) -> Array:
     """Return the growth rate, (points,), of the angle about the third axis while this axis stays exactly on the vertical.
 
     The angle obeys delta'' = a delta + b delta', where a and b are derivatives of the equations. Where the growth rate is 0,
-    rounding decides no label. The growth rate is nan off the vertical, and for systems to which the theorem does not apply.
+    rounding decides no label. The growth rate is nan off the vertical, and where the theorem of theory/steady.py does not apply.
     """
     growth = np.full(shape_of(points), np.nan)
     if isinstance(polynomial_degree(system), str):

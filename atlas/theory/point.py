@@ -47,7 +47,7 @@ class Start(NamedTuple):
 
 
 class SteadyTest(NamedTuple):
-    """Test of a start by the equations. The start is before a nudge unless a comment says otherwise."""
+    """Test of a start by the equations. Unless a comment says otherwise, a field describes the start before a nudge."""
 
     answer: Value  # value of Existence
     elsewhere: Value  # whether the start is a steady motion about other axes than the third and the vertical

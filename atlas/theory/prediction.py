@@ -66,8 +66,8 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
 def residual_of(body):
     """Return the dimensionless residual of a steady motion about the third axis and the vertical, 0 for an exact motion.
 
-    Let u be the angular velocity relative to the frame and U the unit of rates. The residual is |u' - n m gamma x e3| / U^2 or,
-    if larger, |u - n gamma| across e3 over U. On the vertical, a smaller residual of a rotation about e3 replaces the first term.
+    Let u be the angular velocity relative to the frame and U the unit of rates. The residual is the larger of
+    |u' - n m gamma x e3| / U^2 and |e3 x (u - n gamma)| / U. On the vertical, a smaller residual of a rotation about e3 counts.
     """
     _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
@@ -86,7 +86,7 @@ def residual_of(body):
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
     """Return the largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
 
-    The departure is a lower bound of the oscillation of rates, but psi' may oscillate by 1 / sin(theta) times as much. Within
+    The departure is a lower bound of the oscillation of rates. The oscillation of psi' may be 1 / sin(theta) times as large. Within
     `angle_tolerance` of the vertical the change of the angular velocity counts instead. The argument `start` belongs to `after`.
     """
     motion = motion_about_third(start, after.rates)
@@ -161,7 +161,7 @@ def after_nudge(label, stable):
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Return the logarithm of the growth from the residual of a steady start, or from ROUNDING if that is larger, to a tolerance.
+    """Return the logarithm of the growth that turns the residual of a steady start, or ROUNDING if larger, into a tolerance.
 
     Rounding errors of rates are relative to the frequency bound, and rounding errors of angles are relative to 1.
     """

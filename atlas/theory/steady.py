@@ -64,7 +64,7 @@ from .point import (
 # A difference of rates below this fraction of the rates is a rounding error.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
-# Errors of axes from derivatives widen the test of the residual if they are below this value, in units of rounding.
+# Axes from derivatives have errors. Errors below this value, in units of rounding, widen the test of the residual.
 MAX_ERROR = 1e4
 # A start is far from every steady motion if the first-order change of rates exceeds this many tolerances. Among 30 000 starts
 # near steady motions, no start with a steady label had a change above 2.4.
@@ -75,13 +75,13 @@ CANDIDATES = 4
 class Existence(IntEnum):
     """Whether a start is a steady motion."""
 
-    NEAR = 0  # no difference from a steady motion within rounding or the tolerances of labels
+    NEAR = 0  # neither EXACT nor surely FAR
     EXACT = 1  # a steady motion, as exactly as rounding allows
     FAR = 2  # rates vary by more than the tolerance
 
 
 def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance, angle_tolerance):
-    """Return the Existence of a start, and the steady motion, or else the motion about the third axis and the vertical.
+    """Return an Existence, and the steady motion of an exact start, or else the motion about the third axis and the vertical.
 
     The argument `rates` is (sin theta, n, m) of System.steady_rates, and `bound` is the frequency bound.
     """
@@ -299,7 +299,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
 
 
 def undamped(start, constants, duration):
-    """Return sqrt(t / duration), where the divergence of the equations damps an oscillation in the time t <= `duration`."""
+    """Return sqrt(t / duration), where the time t of damping is 1 / |divergence of the equations|, but at most `duration`."""
     still = turn_all(start.vectors, (0.0, 0.0, 0.0))
     divergence = 0.0
     for i in range(3):

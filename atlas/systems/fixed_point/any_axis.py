@@ -95,7 +95,7 @@ class Start(motions.Start):
     def solve_rotor(
         cls, line: Callable[[Any], tuple[Array | float, Array]], name: str, points: Points
     ) -> Array:
-        """Return one component of a rotor base + lambda direction, where `line` returns base and direction for a start."""
+        """Return one component of a rotor on the line base + lambda direction. `line` returns base and direction for a start."""
         start = cls(points)
         return along(ROTORS.index(name), start.rotor, *line(start))
 
@@ -139,7 +139,7 @@ def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array
 
 
 class Lagrange(Start):
-    """Lagrange's case about another axis of symmetry than the third."""
+    """Lagrange's case about an axis of symmetry other than the third."""
 
     def axes(self) -> TwoAxes:
         return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)

@@ -23,14 +23,14 @@ CONSTANTS = (
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ()
-# Names of first integrals, which are functions below, with the power of a rate in the unit of each.
+# Names of first integrals, which are functions below, each with the exponent of 1 / time in the unit of the integral.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
 # First integrals that damping changes, with the names of the functions below for the loss per time.
 LOSSES = {"energy": "energy_loss"}
 
 
 def rhs(state, constants):
-    """Return the time derivatives of the state. The torque of both fields is g x F."""
+    """Return the time derivatives of the state. The terms with Mg and N are the torque g x F."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3

@@ -158,7 +158,7 @@ def _solve_permanent(name: str, points: Points) -> Array:
 
 
 def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
-    """Return theta0 or phi0 of the permanent rotation whose vertical makes the least angle in the body with that of the start.
+    """Return theta0 or phi0 of the permanent rotation whose vertical in the body is nearest to the vertical at the start.
 
     The search for phi0 keeps the given theta0, so that both may be solved together. The result is nan where there is no rotation.
     """
@@ -178,7 +178,7 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
 def _solve_rest(angle: str, points: Points) -> Array:
     """Return theta0 or phi0 of a resting third axis. A closed form exists if the body is symmetric about this axis."""
     closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
-    if angle == "theta0" and f"{NEAR}theta0" in points:  # a third axis on the vertical is at rest too
+    if angle == "theta0" and f"{NEAR}theta0" in points:  # the third axis also rests at 0 and pi
         poles = np.broadcast_to(np.array([0.0, np.pi]).reshape(2, *(1,) * closed.ndim), (2, *closed.shape))
         closed = nearest_root(np.array([closed, *poles]), points["theta0"])
     closed = np.where(symmetric(points), closed, np.nan)

@@ -223,7 +223,7 @@ class Body(NamedTuple):
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
-        # The system is xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~ in the axes `rows`.
+        # With S = `shift` the system is xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~ in the axes `rows`.
         G = 0.5 * cross_matrix(v) - shift
         transposed = np.swapaxes(rows, -1, -2)
         left = G / self.inertia[..., None]
@@ -237,9 +237,9 @@ class Body(NamedTuple):
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Return sqrt(norm_1 norm_inf) of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, which bounds the spectral norm.
+    """Return a bound of the spectral norm of sqrt(I) M sqrt(I)^-1, where I M v = (I w + k) x v - w x I v.
 
-    The mask `third_alone` is true where w is along e3.
+    The bound sqrt(norm_1 norm_inf) holds for all rates up to `max_rates`. The mask `third_alone` is true where w is along e3.
     """
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):

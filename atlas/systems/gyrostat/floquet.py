@@ -41,7 +41,7 @@ _ADIABATIC_PHASES = 256
 _ADIABATIC_GROWTH = 10.0
 # Nothing grows if the distance of frozen exponents from a collision exceeds this multiple of the rate of rotation.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # steps of a closed form per unit of norm x period; errors of the trace are below 1e-7
+_STEPS_PER_NORM = 2  # number of steps over norm x period for closed forms; trace errors are below 1e-7
 _MIN_STEPS_CLOSED = 32
 
 
@@ -62,7 +62,7 @@ def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, 
 
 
 def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array) -> Array:
-    """Return the logarithm of the growth over runs, (points,), or nan where too many steps are needed."""
+    """Return the logarithm of the growth of a small distance over runs, (points,), or nan where too many steps are needed."""
     rotation = _Rotation(body, w, alpha, gamma, duration)
     return rotation.over_spans(np.full(duration.shape, np.nan), lambda _, log_scale: log_scale)
 

@@ -54,7 +54,7 @@ class Equilibria(NamedTuple):
     alpha: Array  # (points, 3)
     gamma: Array
     rate: Array  # unit of rates, rad per time unit, (points,)
-    cyclic: Array  # columns of vertical and axis of symmetry, 0 if not cyclic, (points, 3, 2)
+    cyclic: Array  # independent axes (vertical, axis of symmetry) about which turns keep the energy, or 0, (points, 3, 2)
     free: Mask  # where nothing acts and gamma is chosen along the angular momentum
 
     @classmethod
@@ -90,7 +90,7 @@ class Equilibria(NamedTuple):
         return cls(points, equivalent, alpha[some], gamma[some], rate[some], cyclic[some], free[some])
 
     def squared_exponents(self) -> NDArray[np.complex128]:
-        """Return squares of characteristic exponents without damping, (points, 3); nan if cyclic, inf after an overflow."""
+        """Return squared characteristic exponents without damping, (points, 3), nan for cyclic directions, inf after overflows."""
         inertia, v = self.body.inertia, self.body.gyroscopic(self.body.turn[:, None] * self.gamma)
         hessian = self.body.hessian(self.alpha, self.gamma)
         diagonal = np.diagonal(hessian, axis1=1, axis2=2)
@@ -160,7 +160,7 @@ class Equilibria(NamedTuple):
         return flags.astype(np.int8), np.where(finite, np.where(unstable, growth * self.rate, 0.0), np.nan)
 
     def frequencies(self) -> Array:
-        """Return frequencies, rad per time unit, (points, 3), the largest first. nan: the exponent is 0 or has a real part."""
+        """Return frequencies, rad per time unit, (points, 3), the largest first. Exponents of 0 or with a real part give nan."""
         exponents = np.sqrt(self.squared_exponents())
         scale = np.fmax.reduce(np.abs(exponents), axis=1)[:, None]
         oscillating = (np.abs(exponents.imag) > _ZERO * scale) & (exponents.real <= _ZERO * scale)
@@ -231,7 +231,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
 
 
 def _eigenvalues(hessian: Array, still: Array) -> Array:
-    """Return ascending eigenvalues of Hessians over their largest entries, and 1 in the span of the columns `still`."""
+    """Return ascending eigenvalues of Hessians divided by their largest entries. The span of `still` has the eigenvalue 1."""
     scale = np.abs(hessian).max((1, 2))
     projection = still @ np.linalg.pinv(still, rcond=1e-12)
     complement = np.eye(3) - projection
@@ -275,7 +275,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Return rate, axis of symmetry (or -1) and existence of a frame in which a body rests or turns about this axis."""
+    """Return the rate of a frame where bodies rest or turn about an axis of symmetry, the axis or -1, and whether a frame exists."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

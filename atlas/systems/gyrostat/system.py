@@ -163,7 +163,7 @@ class Gyrostat(System):
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
-        """Return points with the same motion of the third axis but slower rotation, and the amount by which phi' is larger there.
+        """Return points with the same motion of the third axis, if possible with a lower frequency bound, and the increase of phi'.
 
         Where C w3 + rotor is constant, spin replaces the rotor if this lowers the frequency bound. Such points are cheaper to
         integrate accurately.

@@ -20,7 +20,7 @@ from .initial import body_vectors, directions, drag_vector, initial_state
 
 
 class Start(motions.Start):
-    """Start of a spherical satellite. Residuals are in units of the moment C."""
+    """Start of a spherical satellite. In residuals, torques are divided by the moment C."""
 
     def __init__(self, points: Points):
         state = initial_state(points)

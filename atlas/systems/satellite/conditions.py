@@ -100,7 +100,7 @@ def flatness(p: Points) -> Array:
 
 
 def _pair(p: Points, factor: Array, imaginary: Array | float, real: Array) -> Array:
-    """Return real and imaginary part of factor K - (real + i imaginary) U, (2, points)."""
+    """Return real and imaginary part of factor K - (real + i imaginary) U, (2, points), for K = k1 + i k2 and U = mu1 + i mu2."""
     return np.array(
         [
             factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"],

@@ -22,9 +22,9 @@ kernels use units in which most factors are 1 (`scaled`). Everywhere else a and 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Unit vectors at rest in the orbital frame.
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
-# Body and fields come first, then combinations of the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for an a of
-# length 1, the reciprocal lengths of a and g, and rotor, magnet, drag and damping divided by a moment of inertia. h1, Omega and
-# h3 are divided by the length of a or g, and drag by both lengths.
+# The parameters of body and fields come first. h1 is divided by |a|, Omega and h3 by |g|, and drag by |a| |g|. Factors in the
+# right-hand side follow: D1 = (B - C)/A and so on, N = 3 Omega^2 / |a|^2 with the parameter Omega, a_inv = 1 / |a|,
+# g_inv = 1 / |g|, and rotor, magnet, drag and damping divided by moments of inertia.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
@@ -36,7 +36,7 @@ CONSTANTS = (
 OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")
-# Names of first integrals, which are functions below, with the power of a rate in the unit of each.
+# Names of first integrals, which are functions below, each with the exponent of 1 / time in the unit of the integral.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
 # First integrals that damping changes, with the names of the functions below for the loss per time.
 LOSSES = {"jacobi": "jacobi_loss", "axial_momentum": "axial_momentum_loss"}

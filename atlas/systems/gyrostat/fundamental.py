@@ -172,8 +172,8 @@ def exponential(nodes, identity, space, z):
     combine(-20.0, middle, -1.0, b3, 1.0, c1, x)
     multiply(x, y, z, False)
     multiply(y, x, z, True)
-    # A quarter of the exponent, and the even and odd parts of its Pade approximation. Half the exponential less 1 keeps digits
-    # that are lost beside 1.
+    # z becomes M / 4, and c1 the odd part of the Pade approximation of exp(z), then (exp(z) - 1) / 2. Two doublings give
+    # exp(M) - 1 without a sum with 1, which would lose digits.
     combine(0.25, middle, 1 / 48, b3, 1 / 960, z, z)
     multiply(z, z, x, False)
     combine(0.5, identity, 1 / 120, x, 0.0, x, y)

@@ -1,4 +1,4 @@
-"""The accessor `ds.atlas` for questions to an atlas, which `registration` registers with xarray.
+"""The accessor `ds.atlas` for questions to an atlas. The module `registration` registers the accessor with xarray.
 
 An atlas may be larger than memory. Therefore every dataset, whether lazy, chunked or in memory, is read in chunks. Only the
 methods that make figures, films and pages import Matplotlib.
@@ -335,7 +335,7 @@ class Atlas(Questions):
             Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
         view : (float, float)
             Azimuth and elevation of the viewer in degrees. The azimuth is measured from the first axis of the frame towards the
-            second. About a fixed point, where the third axis points down, the azimuth is measured from x away from y.
+            second. About a fixed point the third axis points down, and the azimuth is measured from x towards -y.
         degrees : bool
             Show angles in degrees.
         width : {"page", "column"} or float

@@ -24,7 +24,7 @@ class BadInput(ValueError):
 
 
 def printable(text: str, limit: int | None = None) -> str:
-    """Return text in one line of at most `limit` characters. Escapes such as `\x1b` stand for characters that are not printable."""
+    r"""Return text in one line of at most `limit` characters. Escapes such as `\x1b` stand for characters that are not printable."""
     if limit is not None:
         text = _shorten(text, limit)
     if not text.isprintable():

@@ -24,9 +24,8 @@ REGION = 0.1
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Return the curves on a plane along which exact steady motions exist, by family.
 
-    The family of the scene is traced or, if the scene names none, every family. If the scene solves its points onto a family, the
-    curves are the lines on which the offset from the family, which is an axis, is 0. Otherwise the conditions of a family hold on
-    a curve.
+    The family of the scene is traced or, if the scene names none, every family. If the scene solves its points onto a family, each
+    axis of offsets from the family gives a line on which the offset is 0. Otherwise the conditions of a family hold on a curve.
     """
     scene = plane.scene
     if scene.solve:

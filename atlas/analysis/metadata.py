@@ -32,9 +32,8 @@ TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
-
-
-POSITIONS = "atlas_positions"  # attribute with a word for -1 and a word for positions in a list
+# Attribute of a variable that holds positions in a list. It has the flag name of -1 and the stem of the other flag names.
+POSITIONS = "atlas_positions"
 
 
 def system_of(ds: xr.Dataset) -> System:
@@ -161,7 +160,7 @@ def axis_values(here: np.ndarray, axis: Axis) -> Array:
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether values of a coordinate equal the scene's values `own` within COORDINATE_ROUNDING or SPACINGS, or near 0 within 1e-15."""
+    """Whether coordinates equal the scene's values `own` within 1e-15 plus the larger of COORDINATE_ROUNDING and SPACINGS epsilons."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
@@ -250,7 +249,7 @@ def _registry(system: System) -> Mapping[str, Variable]:
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """Return the words for -1 and for positions in a list, from the attribute POSITIONS or a `Variable`. Other variables have none."""
+    """Return the flag name of -1 and the stem of the other flag names for positions in a list, or None for other variables."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -330,7 +329,7 @@ def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """Return the flag variable of this name. Flags replace positions in a list. Raise BadInput for other variables and for averages."""
+    """Return the flag variable of this name. Positions in a list are returned as flags. Raise BadInput for other variables and averages."""
     ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:

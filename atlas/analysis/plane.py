@@ -99,7 +99,7 @@ class Plane:
         return values
 
     def lattice(self, count: int) -> tuple[list[Array], dict[str, Array]]:
-        """Return the samples along each axis, and the coordinates, (points,), of all points of the lattice by dimension."""
+        """Return the samples along each axis, and the coordinates of all points of the lattice as arrays (points,) by dimension."""
         axes = [self.samples(dim, count) for dim in self.extent]
         grids = np.meshgrid(*axes, indexing="ij")
         return axes, dict(zip(self.extent, (grid.ravel() for grid in grids), strict=True))

@@ -126,7 +126,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
-    # NCO writes cell_methods even on data that were only joined. Without the dimension, such data would look like averages.
+    # NCO writes cell_methods even on joined data. Once a point of the joined axis is chosen, such data would look like averages.
     sound = {n for n, a in ds.data_vars.items() if "cell_methods" in a.attrs and not is_averaged(a)}
     for name, value in values.items():
         if name not in axes:

@@ -24,7 +24,7 @@ Lines = dict[str, list[np.ndarray]]  # lines, (vertices, axes), by kind
 
 LINES_FOLDER, KEPT_PLANES = "lines", 200  # folder in the cache, and number of planes kept there
 WORTH_KEEPING = 0.1  # lines are kept if tracing takes more seconds than this
-TRACING_ANEW = "tracing lines of theory anew"  # what is done if the cache is not used, for messages
+TRACING_ANEW = "tracing lines of theory anew"  # messages say this if the cache is not used
 
 
 def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
@@ -88,8 +88,8 @@ def class_borders(
     sign on the lines of a kind, `zeros` has the magnitude of the quantity as a function of positions. Parts of lines on which the
     quantity has a pole instead of a zero are removed.
 
-    On two axes, cells that a line crosses are refined, and neighbouring cells as far as the line continues. If a region
-    wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis contains one sample, the region is thus followed to its ends.
+    On two axes, cells that a line crosses are refined, and the line is followed into neighbouring cells. If a region wider than
+    1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis contains one sample, the region is thus followed to its ends.
     """
     if len(plane.extent) == 1:
         samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
@@ -187,7 +187,7 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
 def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
     """Return the samples after the division of cells into DIVISION x DIVISION, and which of the samples were evaluated.
 
-    All samples are evaluated in cells with a change, and in neighbouring cells as far as a line continues. Any other sample is a
+    All samples are evaluated in cells that a line crosses, and the line is followed into neighbouring cells. Any other sample is a
     copy of the nearest evaluated sample.
     """
     count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
@@ -265,7 +265,7 @@ def lines_at(values: Array, level: float) -> list[Array]:
         return []
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
-    # A closed line of up to six vertices encloses one or two points, as in regions narrower than the cells, and is dropped.
+    # Closed lines of up to six vertices are dropped. They enclose one or two points, as where a region is narrower than the cells.
     return [line for line in contours(above, 0.5) if len(line) > 7 or (line[0] != line[-1]).any()]
 
 

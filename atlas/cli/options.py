@@ -49,7 +49,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
-        """Return words in which the name of an option with `belongs` is repeated before each value of the option."""
+        """Return words in which the name of an option that takes several values is repeated before each value of the option."""
         repeated: list[str] = []
         option, first = None, False
         for i, word in enumerate(words):
@@ -75,7 +75,7 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"{shown(value)}: {allowed}")
 
     def error(self, message: str) -> NoReturn:
-        """Print a message, which may quote any argument, in one line and exit with the code of bad input."""
+        """Print a message in one line and exit with the code of bad input. The message may quote any argument."""
         say(printable(f"{self.prog}: {message} (see {self.prog} --help)", MAX_MESSAGE), file=sys.stderr)
         self.exit(BAD_INPUT)
 
@@ -166,7 +166,7 @@ def read_scene(name: str) -> Scene:
 
 
 def default_name(scene: str) -> str:
-    """Return the name of the outputs of a scene without suffix, such as k3_0.5 for k3_0.5.toml."""
+    """Return the name, without suffix, of the outputs of a scene, such as k3_0.5 for k3_0.5.toml."""
     return "scene" if scene == STANDARD_INPUT else without_suffix(scene, ".toml", *suffixes()).name
 
 

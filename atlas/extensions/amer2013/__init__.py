@@ -3,7 +3,7 @@
 from ...extension import Extension
 
 # Longest run for which errors of the paper's solution are computed. The length of a run is its duration times the fastest frequency,
-# in rad. The integration of a chunk of points takes some seconds.
+# in rad. The integration of a chunk of points with runs of this length takes some seconds.
 MAX_RADIANS = 1000.0
 
 EXTENSION = Extension(

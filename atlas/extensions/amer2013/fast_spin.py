@@ -2,7 +2,7 @@
 
 A body with A = B has its centre of mass on the third axis and spins about this axis at a fast rate r0. The rotor (l1, l2, l3)
 is arbitrary. The small parameter is eps = c sqrt(gamma0'') / r0, with c^2 = Mg |z0| / C. Numbers in brackets are the paper's
-equations. `published` has the same quantities as the paper prints them, and `published.PUBLISHED` lists the differences. The
+equations. `published` has the same quantities in the paper's printed form, and `published.PUBLISHED` lists the differences. The
 dimensionless state is y = (p1, q1, r1, g1, g1', g1''), where primes belong to names. Other primes below are d/dtau, tau = r0 t.
 A1, a, k and z are in `FastSpin`. With w = p1 + i q1, G = g1 + i g1' and mu = (l1 + i l2) / (A c sqrt(gamma0'')) the equations are
 

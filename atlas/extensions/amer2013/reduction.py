@@ -200,7 +200,7 @@ AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
 
 
 def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the largest error of a reading, relative to the difference of the two readings or to the exact value."""
+    """Return the largest error of a reading, relative to the exact value or, for an entry with "terms_printed", to the readings' difference."""
     values = AT[entry["at"]](rng, entry)
     results = [evaluate(entry["exact"], values)]
     results += [left_side(entry, each, values) for each in ("printed", "true")]

@@ -27,7 +27,7 @@ Attitude: TypeAlias = "ArrayLike | Rotation"
 STARTS = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 UNITS = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30}
 ORBITAL = "orbital"
-LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # along velocity, minus normal and nadir
+LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # x, y, z are velocity, -normal, nadir
 # Rotation from each frame of a satellite to the orbital axes (radius, velocity and orbit normal), at the start.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
 # Tolerated relative differences of mirrored elements of a tensor, of equal moments and of equal components of axes.
@@ -92,7 +92,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
     orders = np.array([*permutations(range(3))] if nearest else [range(3)])
     signs = np.array([*product((1.0, -1.0), repeat=3)])
     axes = rows[:, orders]
-    cosines = np.diagonal(axes, axis1=2, axis2=3) @ signs.T  # their sum is 1 + 2 cos(angle of the turn)
+    cosines = np.diagonal(axes, axis1=2, axis2=3) @ signs.T  # traces of the turns, 1 + 2 cos(angle)
     right_handed = np.linalg.det(axes)[..., None] * signs.prod(1) > 0
     score = np.where(right_handed, cosines, -np.inf).reshape(len(tensor), -1)
     order, sign = np.divmod((score >= score.max(1, keepdims=True) - TIE).argmax(1), len(signs))
@@ -142,7 +142,7 @@ def start(
         Components of the angular velocity.
     frame : str, optional
         For a satellite "orbital" (radius, velocity, orbit normal; the default), "lvlh" (velocity, minus the normal, nadir) or
-        "inertial" (the orbital axes at the start); about a fixed point "space", with the vertical, down, as its third axis.
+        "inertial" (the orbital axes at the start); about a fixed point "space", whose third axis is the downward vertical.
     rates_in : str, optional
         Axes of the components of `rates`: "body" or "frame".
     relative_to : str, optional
@@ -223,9 +223,9 @@ def attitude(
     frame : str, optional
         As in `atlas.start`; "inertial" is the frame of the orbital axes at time 0.
     euler : str, optional
-        Three axes of rotation, in SciPy's letters. In the frame "lvlh", "ZYX" gives yaw, pitch and roll of a body whose axes
-        are forward, right and down, which are rotations about the third, then the second, then the first axis of the body.
-        "xyz" gives the same angles, with roll first.
+        Three axes of rotation, in SciPy's letters. In the frame "lvlh", "ZYX" gives yaw, pitch and roll. These are rotations
+        about the third, then the second, then the first axis of a body whose axes are forward, right and down. "xyz" gives the
+        same angles, with roll first.
     axes : array_like, optional
         As in `atlas.start`. Use ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` if the axes of A, B and C point up, forward and left in
         the body. Then the angles in "lvlh" are yaw, pitch and roll, which are 0 at theta = psi = phi = 0.

@@ -16,9 +16,9 @@ from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
-MARGIN = 10.0  # a proof adds the error of the energy, times this, to the energy
+MARGIN = 10.0  # a proof adds this multiple of the energy's error to the energy
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
-# Largest error before a motion settles: angles in rad, rates over the frequency bound. A larger error may change the basin.
+# Largest error before a motion settles: angles in rad, rates divided by the frequency bound. A larger error may change the basin.
 LARGEST_ERROR = 0.01
 LEVELS = 6  # number of minima, counted from the lowest, for which a time of settling is measured
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
@@ -107,7 +107,7 @@ class Ends(Instrument):
         return (status == Status.OK) & (measured[END] >= 0) & ~decided
 
     def undecided(self, run: Run) -> Mask:
-        """Return which points have a proved end that may change by an error at the start as large as the tolerance.
+        """Return at which points an error at the start that is as large as the tolerance may change the end.
 
         A proved end is certain if the motion starts below the rim of its well, because the motion then never leaves the well.
         """

@@ -27,7 +27,7 @@ Places = NDArray[np.int64]
 SETTLED = 1e-3
 _FLAT = 1e-6  # an eigenvalue of a Hessian counts as 0 below this fraction of the largest one at the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
-_SADDLE = 1e-6  # a descent ends within this angle from a saddle or maximum, rad
+_SADDLE = 1e-6  # a descent stops when a saddle or maximum is nearer than this angle, rad
 # Number of steps of a descent between two searches for the nearest equilibrium, and largest number of steps.
 _STEPS, _MAX_STEPS = 16, 4096
 _BLOCK = 4096  # number of attitudes that are compared together
@@ -39,7 +39,7 @@ class Wells:
 
     body: Body
     rate: Array  # unit of rates, the frame's rate or else the natural rate, (bodies,)
-    single: bool  # whether gamma is the only direction of the frame, and attitudes may turn about gamma
+    single: bool  # whether gamma is the only direction of the frame; attitudes may then turn about gamma
     frames: Array  # rows alpha, beta and gamma in body axes, (bodies, places, 3, 3); if `single`, rows alpha and beta are 0
     axis: Array  # body axis about which turns lead along a circle of equilibria, nan elsewhere, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
@@ -48,7 +48,7 @@ class Wells:
     minimum: Mask
     downhill: Array  # axis about which W falls most, (bodies, places, 3)
     settled: Array  # energy below which attitude and rates stay within SETTLED of a minimum
-    listed: Mask  # whether all equilibria are known with certain indices, (bodies,)
+    listed: Mask  # whether all equilibria are known and their indices are certain, (bodies,)
     rim: Array  # energies of the rims of wells, nan until they are computed
 
     @property
@@ -64,7 +64,7 @@ class Wells:
             part = slice(first, first + _BLOCK)
             own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
             trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
-            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # of a circle, the nearest member counts
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # the nearest member of each circle is compared
             s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
             along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
             across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))
@@ -102,7 +102,7 @@ class Wells:
         """Compute the rims of the wells of some bodies.
 
         An equilibrium counts for every rim if descent from there reaches no other equilibrium. An equilibrium counts for no rim if
-        descent reaches a saddle, because the saddle is lower and in the same component.
+        descent reaches a saddle, because the saddle is lower and in the same component of the region of smaller W.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])

@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Two solutions match if their errors in predicting each other have a sum below _CLOSE, and below _DISTINCT times any rival sum.
+# Two solutions match if the sum of their errors in predicting each other is below _CLOSE, and below _DISTINCT times the sums with others.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
-_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; step, modulo 1, that spreads the divisions
+# Largest number of rounds in which intervals are divided, and golden ratio, which spreads the points of division.
+_ROUNDS, _GOLDEN = 30, 0.618034
 _DIFFERENCE = 1e-5  # step of central differences, in rad or in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # Newton's method stops when a step is shorter than this
@@ -190,7 +191,7 @@ def solutions_at(
     slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
     turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
-    # The negative of a root is the change of the parameter after which an eigenvalue vanishes, or two complex solutions become one.
+    # After the parameter changes by -root, an eigenvalue of a real solution is 0, or the two solutions of a complex pair coincide.
     with np.errstate(all="ignore"):
         roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
@@ -202,7 +203,7 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    # With both symmetries the sum tests nothing, because circles of solutions contribute 0 and each isolated pole contributes 1.
+    # With both symmetries of `family` the sum tests nothing, because circles of solutions contribute 0 and solutions with vertical axis 1.
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
@@ -231,7 +232,7 @@ def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places)
 
 
 def unambiguous_matches(errors: Array) -> Places:
-    """Return the column of the least error in each row, (N, rows), or -1 if the error is not small, or not far below its rivals."""
+    """Return the column of the least error in each row, (N, rows), or -1 unless this error is small and far below others in row and column."""
     choice, least = errors.argmin(2), errors.min(2)
     in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
     rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))

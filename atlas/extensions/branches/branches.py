@@ -64,9 +64,9 @@ def branches(
         The index is the number of directions in which the amended potential falls at a constant rate. Along the parameter
         are completeness (flags), equilibrium_count and index_sum, nan where they are not certain. The index_sum is the sum of
         (-1)^index, which is 0 for a satellite without symmetry, and 2 with an axis of symmetry and for permanent rotations. The
-        dimension "fold" has the bifurcations in the order of the parameter. Variables are ``fold_<parameter>``, fold_error,
-        fold_kind (flags), angles, vectors and potential as fold_theta0, ..., fold_direction, along which the solutions
-        separate, and fold_branch, the branches that meet.
+        dimension "fold" has the bifurcations in the order of the parameter. Its variables are ``fold_<parameter>``,
+        fold_error, fold_kind (flags), and angles, vectors and potential with the prefix ``fold_``. The solutions separate along
+        the rotation vector fold_direction. The variable fold_branch has the branches that meet.
 
     Raises
     ------

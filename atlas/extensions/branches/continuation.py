@@ -16,7 +16,8 @@ from ...systems.base import Array, Mask
 from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
-_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # first, longest and shortest step; most steps
+# Lengths of the first, the longest and the shortest step, and largest number of steps.
+_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000
 # Only steps shorter than this may pass a point at which another curve crosses. The second length is for limits of stability.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # desired angle between the tangents at both ends of a step, rad
@@ -28,7 +29,7 @@ _ITERATIONS = 10  # number of iterations of least squares where the equations ar
 _MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic errs by less than 1e-6
 _ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
 _SETTLED = 1e-6  # largest last step of Newton's method; its square is about the remaining error
-# The next point is sought among _NEIGHBOURS points near a vertex, which are chosen anew after the length _LOOK.
+# The next point is sought among the _NEIGHBOURS points nearest to a vertex. These points are chosen anew after the length _LOOK.
 _NEIGHBOURS, _LOOK = 32, 0.2
 _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exceeds this fraction of the chord
 # Points whose unit null vectors have a smaller scalar product are on different curves, which may be close if moments are nearly equal.
@@ -41,7 +42,7 @@ _OBLIQUE = 0.3  # largest distance of the next point from the tangent, over its 
 
 
 class Piece(NamedTuple):
-    """Part of a curve between two ends. End 2 i is ahead of point i, and 2 i + 1 behind. -1 is a side of the box, -2 a lost end."""
+    """Part of a curve between two ends. Seed i has end 2 i ahead and end 2 i + 1 behind. End -1 is a side of the box, and end -2 is lost."""
 
     length: float
     first: int
@@ -265,7 +266,7 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
 def _walk(
     begin: int, of_end: dict[int, Piece], left: set[int], flip: Array
 ) -> tuple[list[tuple[Array, Array]], int | None, bool]:
-    """Return vertices and tangents of the pieces that lead away from `begin`, the end reached, and whether the curve is lost there."""
+    """Return vertices and tangents of the pieces from `begin` on, the end at which they stop, and whether the curve is lost at this end."""
     signs, parts, end = np.ones(flip.size), [], begin
     while end in left:
         piece = of_end[end]
@@ -377,7 +378,7 @@ def with_zeros(
     for iteration in range(_ILLINOIS if share.size else 0):
         before, share = share, high - at_high * (high - low) / (at_high - at_low)
         if iteration and (np.abs(share - before) < _NO_SHARE).all():
-            break  # not at first, because the first secant may give the middle, where `share` begins
+            break  # in the first iteration, the secant may give the initial `share`, 0.5, by chance
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)

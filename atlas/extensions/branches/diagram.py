@@ -44,7 +44,7 @@ MARKERS: dict[BifurcationKind, Style] = {
     for kind, marker, face in zip(BifurcationKind, ("$?$", "o", "D", "x"), ("k", "k", "w", "k"), strict=True)
 }
 
-# Text and line of each kind of border and of borders where a minimum ends, then text and marker of each kind of special point.
+# Texts and line styles of borders by kind, or by MINIMUM where a minimum ends. Texts and markers of special points by kind.
 MINIMUM = 0
 BORDER_TEXTS = {
     MINIMUM: "a minimum ends",

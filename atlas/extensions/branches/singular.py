@@ -11,8 +11,8 @@ These equations of degree 2 in (x, l, v, m) and both parameters define curves of
 derivative of the equations is singular at a pitchfork of a symmetric body. There the first equation gets the term s v. The
 unknown s is 0 on the curve. A further equation v.dx = 0 keeps changes dx of x in the plane of symmetry.
 
-On limits of stability, P(s) = P'(s) = 0 replaces the conditions with v and m. P is the characteristic polynomial of the squares
-of the exponents. Its double root s is an unknown, so that the equations are regular at a triple root.
+On limits of stability, P(s) = 0 and P'(s) = 0 replace the equations that contain v and m. P is the characteristic polynomial of
+the squares of the exponents. The double root s is an unknown, so that the equations are regular at a triple root.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ _MAX_TURN = 0.3  # longest step of Newton's method: angles are in rad, positions
 # Points with a force below `_LITTLE_FORCE` may be pitchforks. Regular points have singular values above `_REGULAR` times the largest
 # one. Residuals, steps and forces below `_EXACT` count as 0.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
-_VANISHES = 1e-7  # Smaller fractions of the largest coefficient of the characteristic polynomial count as 0.
+_VANISHES = 1e-7  # The constant term of a characteristic polynomial counts as 0 below this fraction of the largest coefficient.
 # A discriminant below this fraction of the sum of its terms counts as 0, because two exponents may be equal on a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
 # Solutions beside a pitchfork are compared at the distance `_BESIDE` and found in `_STEPS_BESIDE` steps of Newton's method. Extrema
 # of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # number of Newton steps that move a point onto a side of the box
-# Two (`FRAMES`) or three (`TRIADS`) vectors, joined in x, are orthonormal if x.E_k x is 1 or 0 for each of these matrices E_k.
+# x joins two (`FRAMES`) or three (`TRIADS`) vectors d_i. The product x.E_k x is d_i.d_i, which must be 1, or 2 d_i.d_j, which must be 0.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -303,7 +303,7 @@ def _coefficients(body: Body, upright: bool, axis: int) -> Array:
 
 
 class Degenerate(NamedTuple):
-    """Degenerate critical points of potentials. `unknowns` has N rows (x, l, v, m, position, s), split by `parts`."""
+    """Degenerate critical points x with multipliers l and null vectors (v, m). `unknowns` has N rows (x, l, v, m, position, s)."""
 
     potential: Potential
     unknowns: Array
@@ -350,7 +350,7 @@ class Degenerate(NamedTuple):
         return Degenerate(self.potential, self.unknowns[where], self.kind[where])
 
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Return the second derivatives D in (x, l), the derivatives of D (v, m) by (x, l), and `Potential.at(position)`."""
+        """Return the matrix D of the equations D (v, m) = 0, the derivatives of D (v, m) by (x, l), and `Potential.at(position)`."""
         x, l, v, m, position, _ = self.parts
         forms, (N, n) = self.potential.forms, x.shape
         diagonal = self.potential.at(position)
@@ -407,7 +407,7 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Return the second derivatives in (x, l), and the derivatives of the gradient and of the solutions (x, l) by both parameters."""
+        """Return D of `matrices`, and the derivatives of the potential's gradient and of the solutions (x, l) by both parameters."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
@@ -429,7 +429,7 @@ class Degenerate(NamedTuple):
     def stable_change(self) -> NDArray[np.int64]:
         """Return how the number of stable solutions changes across curves. The change is valid where all `margins` are positive.
 
-        One of two merging solutions is stable. With a cyclic angle both are stable, and exponents vanish at extrema of the momentum.
+        At a fold one merging solution is stable, or both with a cyclic angle. At a limit of stability one solution changes stability.
         """
         change, fork = np.where(self.potential.cyclic & ~self.limit, 2, 1), self.pitchfork
         if self.potential.size == 3 and fork.any():
@@ -630,7 +630,7 @@ class Degenerate(NamedTuple):
         return Degenerate.joined([others, forks.take(symmetric)])
 
     def force(self) -> Array:
-        """Return the derivatives of the gradient by both parameters along the null vector, which are 0 at pitchforks."""
+        """Return the derivatives by both parameters of the potential's slope along the null vector. They are 0 at pitchforks."""
         x, _, v, _, position, _ = self.parts
         _, *by = self.potential.at(position)
         return np.stack([(v * (q * x + c)).sum(1) for q, c in by], -1)
@@ -640,8 +640,8 @@ class Degenerate(NamedTuple):
 
         On folds the first function is the third derivative along the null vector, which is 0 at cusps, and the second is 1. On
         pitchforks the functions are the product of the other eigenvalues, and this product times the fourth derivative. On limits
-        of stability the first is P''(s), which is 0 at cusps, or -1 at extrema of the momentum. The second is the product of the
-        eigenvalues. The covector (N, 2) points to the side with two more solutions, or with one more stable solution.
+        of stability the first is P''(s) of the characteristic polynomial P, which is 0 at cusps, or -1 at extrema of the momentum.
+        The second is the product of the eigenvalues. The covector (N, 2) points to the side with more solutions, or more stable ones.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]

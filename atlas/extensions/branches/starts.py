@@ -23,11 +23,11 @@ _ON_SPHERE = 8  # steps of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
 CELLS = 13  # cells of the coarse grid along each axis; odd, because bodies in the middle are often symmetric
 _RIM = 0.004  # distance of the outermost lines from the sides of the box, where bodies are often symmetric
-# One more line of the grid has this distance from the middle, because mirrored curves cancel between symmetric corners.
+# One more grid line is this far from the middle. Between two corners symmetric about the middle, jumps at mirrored curves cancel.
 _BESIDE_MIDDLE = 5e-4
 REACH = 2.0  # distance in cells within which curves are sought from an equilibrium
-# Up to `_SEARCHES` searches take `_BETWEEN` points of each unexplained grid interval. `_DIVISIONS` chords replace a curve segment.
-_SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
+# Up to `_SEARCHES` searches use `_BETWEEN` points of each grid interval where curves predict a wrong change of the numbers of equilibria.
+_SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4  # `_DIVISIONS` chords replace a curve segment.
 
 
 class Cell(Flag):
@@ -101,8 +101,9 @@ def near_solutions(
 ) -> tuple[Degenerate, Degenerate, Array]:
     """Return unknowns near degenerate solutions, unknowns near limits of stability, and numbers of solutions.
 
-    To first order the degenerate solutions and the limits are within `reach`. Nearly real solutions are taken too. The numbers
-    (2, bodies) are of all solutions and of stable solutions. They are nan where the number of solutions is not certain.
+    To first order the degenerate solutions and limits are within `reach` of `positions`. Attitudes near complex solutions also give
+    unknowns near degenerate solutions. Row 0 of the numbers, (2, bodies), counts all solutions, and row 1 counts stable solutions.
+    Numbers that are not certain are nan.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -134,8 +135,8 @@ def all_curves(
 ) -> tuple[list[Curve], Array, NDArray[np.int8]]:
     """Return the curves of bodies over two parameters, the axis of a coarse grid, and a value of `Cell` for each of its cells.
 
-    Limits of stability are found only with `stability`. Between two neighbouring corners of the grid the numbers of equilibria and
-    of stable equilibria change. If the curves do not explain this change, more curves are sought from points between the corners.
+    Limits of stability are found only with `stability`. The numbers of equilibria and of stable equilibria may differ between two
+    neighbouring corners of the grid. If the curves do not explain a difference, more curves are sought from points between the corners.
     """
     axis, reach = _RIM + (1 - 2 * _RIM) * np.arange(CELLS + 1) / CELLS, REACH / CELLS
     nodes = np.insert(axis, CELLS // 2 + 1, 0.5 + _BESIDE_MIDDLE) if stability else axis
@@ -147,7 +148,7 @@ def all_curves(
     jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
     seeds = near.settled(2 * reach) if potential.size >= 6 else on_sphere(potential)
     seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
-    # At the zeros of these functions the side of a curve with more solutions, or with more stable solutions, changes.
+    # Beyond a zero of these functions, the other side of the curve has more solutions, or more stable solutions.
     tests: list[Callable[[Degenerate], Array]] = [
         lambda points: points.character()[1][1],
         lambda points: np.where(points.pitchfork, 1.0, points.character()[1][0]),
@@ -160,7 +161,7 @@ def all_curves(
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
-            # Curves of extremal momentum are sought beside pitchforks where `stable_change` jumps, and beside every second vertex.
+            # Curves of extremal momentum are sought beside every second vertex of a curve, and where `stable_change` jumps at pitchforks.
             lines, ends = with_zeros(
                 lines,
                 lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
@@ -222,7 +223,7 @@ def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
     """Return how many eigenvalues stay negative across a segment, and how many more solutions are on the left than on the right.
 
-    The differences (2, segments) are of the numbers of all solutions and of stable solutions.
+    Row 0 of the differences, (2, segments), counts all solutions, and row 1 counts stable solutions.
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
     fork = middle.pitchfork  # Off the curve, solutions may seem to bifurcate to the wrong side.

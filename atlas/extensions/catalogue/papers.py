@@ -33,7 +33,7 @@ def published_equations(system: System) -> Sequence[PublishedEquation]:
 
 
 def published_numbers(system: System) -> list[dict[str, str]]:
-    """Return rows that compare the numbers published in all extensions with ours."""
+    """Return rows that compare published numbers with ours, from all extensions."""
     functions = extension.of_each("published_numbers", system.name)
     return [row for function in functions for row in function(system.name)]
 

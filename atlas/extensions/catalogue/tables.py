@@ -95,7 +95,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
 def published(
     system: System, family: str | None = None, errata: bool = False, number: str | None = None
 ) -> list[dict[str, Any]]:
-    """Return rows about published equations. `errata` chooses the wrong equations, and `number` chooses one equation."""
+    """Return rows about published equations. `errata` keeps only equations with an error, and `number` only equations of this number."""
     every = equations = published_equations(system)
     if number is not None:
         every = [row for row in equations if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]

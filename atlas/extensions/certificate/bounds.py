@@ -58,7 +58,7 @@ class Bounds(NamedTuple):
 
     least_sine: float
     largest_sine: float
-    theta_dot: float  # limit of the magnitude
+    theta_dot: float  # upper bound of the magnitude
     psi_dot: float  # centre of the range
     psi_width: float  # half the width of the range
     phi_dot: float
@@ -80,7 +80,7 @@ def is_away(bounds, tolerances):
 
 
 def largest_deviation(bounds, tolerances):
-    """Return half the width of the widest range of a rate, or nan where no label follows."""
+    """Return half the width of the widest range of a rate, or nan if sin(theta) may be both below and above the angle tolerance."""
     if is_inside(bounds, tolerances):
         return bounds.normal_rate
     if is_away(bounds, tolerances):

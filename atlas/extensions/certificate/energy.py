@@ -32,7 +32,7 @@ from ...theory.point import (
 from .bounds import Bounds, Direction, reach, sine_range, unknown
 
 STEPS = 5  # Nothing is proved if this number of steps of Newton's method does not reach a minimum.
-FLAT = 1e-6  # Newton's method takes a gradient step if an eigenvalue is below this fraction of the size.
+FLAT = 1e-6  # Newton's method takes a gradient step if an eigenvalue of the Hessian is below this fraction of `size`.
 EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of eigenvalues and gradient, divided by `size`
 TINY = 2.0**-1022  # added to the diagonal of a Hessian, which may be 0, to make the Hessian invertible
 SWEEPS = 6  # largest number of sweeps of Jacobi's method
@@ -61,7 +61,7 @@ def in_space(body, w, gamma):
 
 
 def symmetric(body, w, alpha, gamma):
-    """Return bounds of a symmetric body in a frame of two directions, from the energy of its third axis."""
+    """Return bounds of a symmetric body in a frame with alpha and gamma. W_S depends only on the direction of the body's third axis."""
     A, _, C = body.inertia
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
     start = alpha[2], cross(gamma, alpha)[2], gamma[2]
@@ -104,11 +104,11 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Return bounds near any minimum of W, from W - W* >= `least` d^2 / 2 - M d^3 / 6 - `slope` d after a turn by the angle d."""
+    """Return bounds near any minimum of W. A turn by d gives W - W* >= `least` d^2 / 2 - M d^3 / 6 - `slope` d, where M bounds |W'''|."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
-    # This number on the diagonal keeps the Hessian invertible without torque.
+    # The number `regular`, added to the diagonal, keeps the Hessian invertible if no torque acts.
     drag = length(body.beta.field)
     regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread) + drag) + TINY
     for _ in range(STEPS):
@@ -183,7 +183,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """Return an upper bound of J - W(a, g), with rounding errors included, and `size`."""
+    """Return an upper bound of J - W(a, g) that includes rounding errors. Also return `size`, to which rounding errors are relative."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -213,10 +213,10 @@ def rigid(body, theta, angle, square, n):
 
 
 def on_sphere(Q, c, start, z, square, size):
-    """Return theta at a minimum z of W on the unit sphere, and bounds of the angle from z and of u.I u for all time.
+    """Return theta at a minimum z of W on the unit sphere, and two bounds for all time, of the angle from z and of u.I u.
 
-    W(x) is x.Q x / 2 + c.x, and `square` is u.I u at the start. If Q z + c = L z, then W(x) - W(z) = (x - z).(Q - L)(x - z) / 2
-    exactly. If Q - L is positive, the whole sphere is the well. Otherwise a polynomial in r = |x - z| bounds W from below.
+    W(x) is x.Q x / 2 + c.x, u is the angular velocity in the frame, and u.I u is `square` at the start. If Q z + c = L z, then
+    W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If Q > L, the whole sphere is the well. Else a polynomial in |x - z| bounds W from below.
     """
     curved, offset = times(Q, z), minus(start, z)
     slope = plus(curved, c)
@@ -276,7 +276,7 @@ def across_axes(z):
 
 
 def second_form(M, first, second):
-    """Return the entries of a quadratic form, with the diagonal M, in the plane of two axes, and the smaller eigenvalue there."""
+    """Return the entries 11, 12 and 22 of the matrix diag(M) on two orthonormal axes, and the smaller eigenvalue in their plane."""
     a, b, d = dot(times(M, first), first), dot(times(M, first), second), dot(times(M, second), second)
     return a, b, d, 0.5 * (a + d) - np.hypot(0.5 * (a - d), b)
 
@@ -309,7 +309,7 @@ def least_eigenvalue(diagonal, mixed):
 
 
 def jacobi(a, b, h, g, f):
-    """Apply the Jacobi rotation that makes h 0, the entry between the diagonal entries a and b. The other two entries are g and f."""
+    """Make h 0 by a Jacobi rotation. The entry h is in the row of a and the column of b. The other off-diagonal entries are g and f."""
     if h == 0:
         return a, b, h, g, f
     ratio = (b - a) / (2 * h)

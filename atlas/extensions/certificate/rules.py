@@ -24,7 +24,7 @@ class LabelProofs(NamedTuple):
     label: int  # 0 if no label is proved
     inertial_kind: int
     inertial_label: int
-    bound: float  # limit of the deviations of the rates
+    bound: float  # half the width of the widest proved range of a rate
 
 
 def prove_in_space(body, w, gamma, is_axial, tolerances):
@@ -42,7 +42,7 @@ def prove_in_space(body, w, gamma, is_axial, tolerances):
 
 
 def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
-    """Return what can be proved for a body in a frame of two directions."""
+    """Return what can be proved for a body in a frame with the directions alpha and gamma."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
         # No minimum is isolated, because turns about the axis keep the energy. The other rules need an isolated minimum.

@@ -24,7 +24,7 @@ def top(body, w, gamma, tolerances):
     v2 = 0.5 * body.gamma.gradient * (C - A)
     v1 = body.gamma.field[2] + 2 * v2 * x0
     S, a, e = C * r + body.rotor[2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
-    # Rounding errors are relative to the terms of S and v1, because the spin r is the sum m + n cos(theta).
+    # Rounding errors are relative to the terms of S and v1. `spin` bounds psi' cos(theta), a term of r = phi' + psi' cos(theta).
     across = np.sqrt(e * sine2)
     spin = across / (A * sine2) if sine2 > 0 else 0.0
     S_size = abs(C * r) + C * spin + abs(body.rotor[2])
@@ -55,7 +55,7 @@ def top(body, w, gamma, tolerances):
     bounds = Bounds(least_sine, largest_sine, np.nan, np.nan, np.nan, np.nan, np.nan, normal_rate)
     if is_inside(bounds, tolerances) or not is_away(bounds, tolerances):
         return bounds
-    # f(y) is at most (y - low) (high - y) times minus the second divided difference of f at y, low and high.
+    # f <= 0 at low and high. So f(y) <= -D (y - low) (high - y), where D is the second divided difference of f at y, low and high.
     bent = -f2 + 3 * abs(f3) * farthest + 6 * abs(f4) * farthest**2 + errors[2]
     theta_dot = half * np.sqrt(larger(bent, 0.0) / least) / A
     # Extrema of psi' = (K - S x) / (A sin(theta)^2) and of x psi' are at the ends, or where the derivatives vanish.
@@ -86,7 +86,7 @@ def top_end(f, errors, sine2, x0, sign):
 
 
 def change_of_psi(which, over, other, constants):
-    """Return y = x - x0 at an end of the range or at a zero of the derivative of psi' or x psi', and the change of psi' from x0 to x."""
+    """Return y = x - x0 and psi'(x) - psi'(x0), where x is an end of the range, or a zero of d(psi')/dx or of d(x psi')/dx."""
     a, S, A, sine2, x0, low, high = constants
     y = low if which == 0 else high
     if which > 1:

@@ -168,7 +168,7 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Return all relative equilibria of many bodies, found on an orbit by homotopy continuation (see `homotopy`).
+    """Return all relative equilibria of many bodies. For bodies on an orbit, homotopy continuation finds the equilibria (see `homotopy`).
 
     A secular equation gives the equilibria of bodies whose symmetry about an axis is exact to the last bit. A list is complete if two
     tests pass. The sum of (-1)^index must have the value of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of an axis of symmetry.
@@ -335,8 +335,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
         gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])
-        # A symmetry of the body makes one row of the Jacobian 0 everywhere. With least squares and the whole Jacobian, Newton's
-        # method across the circles of equilibria then converges quadratically.
+        # With a symmetry, equilibria form circles. Least-squares steps converge fast, as the unsymmetric `hessian` has rank 2 everywhere.
         left, values, right = np.linalg.svd(hessian)
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)

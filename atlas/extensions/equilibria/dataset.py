@@ -90,9 +90,9 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     Raises
     ------
     BadInput
-        For bodies that cannot exist, where every orientation is an equilibrium, and where the number or an index is not
-        certain. For many bodies only if none can exist; a lazy result marks impossible bodies instead. For more equilibria
-        than `max_equilibria`.
+        If a single body cannot exist, if every orientation of this body is an equilibrium, or if the number of equilibria or
+        an index is not certain. If none of many bodies can exist, except in a lazy result, which marks impossible bodies. If
+        there are more equilibria than `max_equilibria`.
 
     Notes
     -----

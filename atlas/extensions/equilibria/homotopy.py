@@ -208,7 +208,7 @@ def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three
     """Return -H^-1 gradient by Cramer's rule, where H contains the derivatives of the gradient of W."""
     inertia, p, r, q = body
     b = _cross(g, a) if np.any(r) else None
-    by = {}  # (j, k) -> factors of a_i and g_i in H_ij, where k is the third axis
+    by = {}  # (j, k) -> factors of a_i and g_i in H_ij, where k is the axis other than i and j
     for j, k in ((0, 1), (1, 2), (2, 0)):
         d = inertia[j] - inertia[k]
         by[j, k] = 3 * d * a[j] + p[j], q[j] - d * g[j]

@@ -267,7 +267,7 @@ class _Mechanics:
         result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
         if "energy" in balances:
-            energies = []  # A term T of the Lagrangian gives T if it has degree 2 in v, -T if degree 0.
+            energies = []  # A term T of the Lagrangian adds T to the energy if T has degree 2 in v, and -T if T has degree 0.
             for term in terms:
                 momentum = sum(velocity * term.diff(velocity) for velocity in self.velocities)
                 quadratic = momentum != 0 and sympy.expand(momentum - 2 * term) == 0

@@ -27,7 +27,7 @@ from ...flags import Status
 from ...systems.base import Array, families_of
 
 BORDER = ["first", "second", "curve"]  # flags on both sides, kind of the nearest curve of theory
-# Variable along each axis -> column of the table of pairs of neighbours, and statistic of the column.
+# Variable over border and axis -> column of the table of pairs of neighbours, and statistic of the column.
 OF_AXES = {
     "pairs": ("half", "count"),
     "half_cell": ("half", "max"),

@@ -65,16 +65,16 @@ def margin(
     Returns
     -------
     Dataset
-        `margin`, the lesser of `down` and `up`: inf if nothing changes within the atlas, nan without a label. The flags
-        `source_margin`, `source_down` and `source_up` tell how the place of the change is known. It may be halfway between
-        neighbouring points (on a logarithmic axis in the logarithm), or on a limit of stability or precession or an edge of existence
-        that theory predicts between these points. ``ds.atlas.margin("k3").atlas.map("margin")`` draws a map.
+        `margin` is the lesser of `down` and `up`, the least changes to lower and to higher values. They are inf if nothing changes
+        within the atlas, and nan without a label. The flags `source_margin`, `source_down` and `source_up` tell how the place of a
+        change is known. The place is halfway between neighbouring points (on a logarithmic axis in the logarithm), or on a limit of
+        stability or precession or an edge of existence that theory predicts. ``ds.atlas.margin("k3").atlas.map("margin")`` draws a map.
 
     Notes
     -----
     A margin concerns one known point; for uncertain parameters use random draws, see `probability`.
     """
-    flag_variable(ds, variable)  # BadInput for other variables
+    flag_variable(ds, variable)  # raises BadInput unless `variable` is a flag variable
     if axis not in (axes := neighbour_axes(ds)):
         raise BadInput(f"axis = {shown(axis)}: no axis with neighbouring points; {allowed_text(axis, axes)}")
     part = nearest_on_axes(ds, {dim: value for dim, value in coords.items() if dim != axis}, degrees)
@@ -91,7 +91,7 @@ def margin(
         places = np.where(np.isnan(curves), places, curves)
     missing = (flags == Label.NOT_COMPUTED) & (variable in LABELS)
     if axis in coords:
-        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # BadInput if the value is outside
+        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # raises BadInput if the value is outside
         at = np.array(coords[axis] / factor(part[axis].attrs, degrees))
         nearest = int(np.abs(values - at).argmin())
         tied = [name for name, each in line.coords.items() if axis in each.dims and name != axis]

@@ -1,4 +1,4 @@
-"""Lines of nonlinear stability, which are resonances where the energy does not decide, and zeros of the determinant."""
+"""Resonances and zeros of the determinant D, as lines of nonlinear stability where the energy does not decide stability."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def lines(plane: Plane, ds: xr.Dataset) -> Lines:
 
 
 def nonlinear_lines(plane: Plane) -> Lines:
-    """Return resonances where the energy does not decide, and curves DETERMINANT_ZERO where the normal form does not decide."""
+    """Return resonances, and zeros of D as DETERMINANT_ZERO, where the energy does not decide stability."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     columns = plane.derived(coordinates, (_VERDICT, _DETERMINANT))
     shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)

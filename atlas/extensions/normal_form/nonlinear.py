@@ -125,7 +125,7 @@ class NormalForm(NamedTuple):
 
 
 def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
-    """Return values of `flags.NonlinearStability` (points,), and c20, c11, c02 and D (4, points), nan where no normal form exists."""
+    """Return values of `NonlinearStability` (points,), and c20, c11, c02 and D (4, points), which are nan without a normal form."""
     flags, kind = steady_families(system, points), kinds_of_stability(system, points)
     result = np.full(flags.shape, NonlinearStability.UNDECIDED, np.int8)
     values = np.full((4, flags.size), np.nan)
@@ -153,7 +153,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Return verdicts of the normal form (points,), and c20, c11, c02 and D in units of 1 / moment (4, points), nan without a form.
+    """Return verdicts (points,), and c20, c11, c02 and D times the unit of moments (4, points), which are nan without a normal form.
 
     With fewer than two degrees of freedom the energy decides, and the verdict is degenerate. With more than two the verdict is undecided.
     """
@@ -265,9 +265,9 @@ def _product(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np
 
 
 def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
-    """Return the frequencies l1, l2 of z' = J H'' z (points, 2), and w_1, w_2 and conjugates as columns (points, 4, 4).
+    """Return the frequencies l1 and l2, (points, 2), of z' = J H'' z, and the columns w_1, w_2 and their conjugates, (points, 4, 4).
 
-    w is an eigenvector to the eigenvalue -i l with w* J w = -i, so that zeta* zeta = (q^2 + p^2)/2 is an action.
+    An eigenvector w to the eigenvalue -i l has w* J w = -i. With z = zeta w + conjugate, |zeta|^2 is the action of a mode.
     """
     A = np.concatenate([second[:, 2:], -second[:, :2]], 1)
     square = A @ A
@@ -281,7 +281,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
         frequencies = np.sqrt(squares)
         vectors = []
         for i in (0, 1):
-            # By the theorem of Cayley and Hamilton, A^2 + l^2 with l of the other mode maps every vector into the plane of this mode.
+            # By Cayley and Hamilton, A^2 + l^2 with the frequency l of the other mode maps every vector into the plane of this mode.
             part = square + squares[:, 1 - i, None, None] * np.eye(4)
             column = np.take_along_axis(part, (part**2).sum(1).argmax(1)[:, None, None], 2)[..., 0]
             vector = (A @ column[..., None])[..., 0] - 1j * frequencies[:, i, None] * column

@@ -57,7 +57,7 @@ HATCHED = {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}  # reg
 
 
 def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """Return all that a page shows. `motions` is a result of `motion_table`, or {"fault": reason}. Commands open the atlas `file`."""
+    """Return all that a page shows. `motions` is a result of `motion_table`, or {"fault": reason}. Commands on the page open `file`."""
     ds, system, attributes = layout.ds, layout.system, layout.ds.attrs
     notes = list(layout.notes)
     if "atlas_scene" not in attributes:
@@ -322,7 +322,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
         column = store.add(
             motion.over_points(xr.DataArray(ds[dim].variable.astype(np.float64)), layout.sizes)
         )
-        if layout.scene is not None or column["over"]:  # a value that all points share need not be given
+        if layout.scene is not None or column["over"]:  # the commands leave out values that all points share
             coordinates.append({"name": name, "dim": dim, "values": column})
     return {
         "shell": f"atlas trajectory {shlex.quote(file)} --at",
@@ -457,7 +457,7 @@ class Layout:
             yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
 
     def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
-        """Join the masks of the cells of all maps to one mask over all points. None stands for a map without cells."""
+        """Join masks over the cells of each map into one mask over all points. None stands for a mask that is false everywhere."""
         whole = np.zeros(self.shape, bool)
         order = self.axes[::-1]  # a panel has its x axis last
         axes = [order.index(dim) for dim in self.dims if dim in order]

@@ -101,7 +101,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         finite = np.where(np.isfinite(duration), duration, 0.0)
         at_points = settings.at(rate_tolerance)
         count = StepSizes.of(at_points, ensemble.frequency_bound, finite).steps
-        if system.has_numeric_bound:  # the atlas contains steps from a frequency bound along each motion
+        if system.has_numeric_bound:  # the bound is found by runs, so that the steps are taken from the atlas
             if "step" not in ds:
                 raise BadInput(
                     "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those"
@@ -149,8 +149,8 @@ class CannotTranslate(ValueError):
 def translate(sources: Mapping[str, str]) -> str:
     """Translate Python functions in the grammar of `arithmetic` to JavaScript, or raise CannotTranslate.
 
-    Tuples, which are arrays in JavaScript, calls of `axpy` and calls between these functions are allowed too. Every name gets the
-    ending "$", which neither Python names nor words of JavaScript have.
+    Tuples (arrays in JavaScript), calls of `axpy` and calls between these functions are allowed too. Every name gets the ending "$",
+    which neither Python names nor words of JavaScript have.
     """
     functions = frozenset((*sources, "axpy"))
     scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
@@ -158,7 +158,7 @@ def translate(sources: Mapping[str, str]) -> str:
 
 
 def _number(value: float) -> str:
-    """Return the source of a number in JavaScript that has the same 64 bits."""
+    """Return JavaScript source of a number with the same 64 bits as `value`."""
     return {"inf": "Infinity", "nan": "NaN"}.get(repr(float(value)), repr(float(value)))
 
 

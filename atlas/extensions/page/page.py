@@ -131,7 +131,7 @@ def _fallback(layout: Layout) -> str:
 
 
 def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
-    """Return the text of the file, which has template, style, script, data, and a policy that allows nothing else."""
+    """Return the text of the file. The security policy allows only the style and the script of the page, and embedded images."""
     folder = files(__package__)
     style = folder.joinpath("page.css").read_text(encoding="utf-8")
     program = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)

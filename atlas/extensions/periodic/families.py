@@ -3,7 +3,7 @@
 Each pair of multipliers mu, 1/mu has the sum rho = mu + 1/mu. A multiplier is 1 where the product of all 2 - rho vanishes, and -1
 where the product of all 2 + rho vanishes; two pairs meet where their rho are equal. The energy or the period has a fold where its
 slope along the family vanishes. Where both slopes vanish at one orbit, the family comes back on itself and ends. This orbit is a
-steady motion (amplitude 0), another orbit run through k times, y(T/k) = R y(0), or else an orbit that is its own mirror image.
+steady motion (amplitude 0), an orbit of another family that is run through several times, or an orbit that is its own mirror image.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ NODES, MOST_NODES = 5, 40
 SEGMENT, EXPANSION = 0.3, 60.0
 # Length and number of the first steps, which give the slope at the birth; longest and shortest step; largest number of steps.
 FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
-# Largest changes of the angles of multipliers and the logarithms of their magnitudes in a step; least cosine between tangents.
+# Largest changes in a step of a multiplier's angle and of log |multiplier|; least cosine between the tangents at both ends.
 ANGLE, GROWTH, COSINE = 0.35, 1.5, 0.9
 FAR = 0.35  # largest distance of an orbit from its guess, as a fraction of the step
 FAST = 12.0  # a family is unbounded if a rate exceeds this multiple of `Flow.rate`
 SLOW = 1.5e-3  # a steady motion may be near an orbit whose least speed is below this fraction of the largest
-COMPLETE = 3.0  # pairs of events within a step are looked for up to this period, in periods of the birth
+COMPLETE = 3.0  # pairs of events within a step are looked for while the period is below this multiple of the period at the birth
 LATER = 3.0  # beyond COMPLETE, multipliers may change this many times as much in a step
 # A function may have a pair of zeros where the polynomial through members falls below DIP times the least value of the members. Up to
 # PAIRED members are computed there, until a value is below TOUCHING and counts as 0.

@@ -34,7 +34,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def turn(chi: float) -> Array:
-    """Return the matrix R(chi) for the components of changes."""
+    """Return the matrix R(chi), which turns a change of a state by the angle chi about the third axis."""
     c, s, matrix = np.cos(chi), np.sin(chi), np.eye(SIZE)
     matrix[:2, :2] = matrix[3:5, 3:5] = [[c, -s], [s, c]]
     return matrix
@@ -69,7 +69,7 @@ class Flow:
         return states.reshape(len(states), -1, 3)
 
     def moved(self, states: Array, changes: Array) -> Array:
-        """Return `states` after `changes`; a change eta is applied as a finite rotation."""
+        """Return `states` after `changes`. If a change of attitude is a rotation vector, it is applied as a finite rotation."""
         v = self.vectors(states).copy()
         v[:, 0] += self.rate * changes[:, :3]
         if self.rotates:

@@ -1,4 +1,4 @@
-"""Periodic motions by multiple shooting, and the small oscillations of steady motions from which families are born.
+"""Periodic motions by multiple shooting, and the small oscillations about steady motions from which families are born.
 
 A motion of period T and turn chi, y(T) = R(chi) y(0), is given by m states a time T/m apart. Newton's method solves for the states,
 T and chi. Each segment must end at the next state, and the momenta must be those of the family. Changes of all states must be
@@ -30,7 +30,7 @@ LARGE, SEPARATE = 1e6, 1e4
 
 
 class Birth(NamedTuple):
-    """A small oscillation of a steady motion; `mode` is the complex amplitude of the change, (6,)."""
+    """A small oscillation about a steady motion; `mode` is the complex amplitude of the state's change, (6,)."""
 
     frequency: float
     mode: Array
@@ -40,7 +40,7 @@ class Birth(NamedTuple):
 class Orbit:
     """A periodic motion, and the tangent of the family at the motion."""
 
-    states: Array  # (m, N)
+    states: Array  # m states, `period` / m apart, (m, components of a state)
     period: float
     chi: float
     bound: float  # bound of the fastest frequency
@@ -51,7 +51,7 @@ class Solution(NamedTuple):
     """A periodic motion that Newton's method has found."""
 
     orbit: Orbit
-    matrices: Array  # map changes at the start of a segment to changes at its end, (m, 6, 6)
+    matrices: Array  # each maps changes at the start of a segment to changes at the end, (m, 6, 6)
     closing: float  # largest difference between the end of a segment and the next state
     iterations: int
     distance: float  # distance from the guess
@@ -73,7 +73,7 @@ class SteadyMotion:
         self.residual = float(np.abs(slope - self.spin * self.along).max())
 
     def births(self) -> tuple[list[Birth], int]:
-        """Return the small oscillations with the same momenta, the fastest first, and the number of exponents that are 0."""
+        """Return the small oscillations that keep all momenta, the fastest first, and the number of exponents that are 0."""
         flow, bound = self.flow, self.flow.bound(self.state)
         time = 0.5 / bound
         matrix = turn(-self.spin * time) @ flow.run(self.state[None], time, bound)[1][0]
@@ -244,7 +244,7 @@ class Family:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Return the solutions of least squares by QR factors; they are infinite if `matrix` is singular."""
+    """Return the least-squares solution for each column of `right`, by a QR factorization. It is infinite if `matrix` is singular."""
     factors, solution, _ = dgels(matrix, right)
     diagonal, size = np.abs(np.diag(factors)), matrix.shape[1]
     regular = diagonal.min() > SINGULAR * diagonal.max()

@@ -46,7 +46,7 @@ def _excess(p: Points) -> Array:
 
 
 def _bottom(p: Points) -> Array:
-    """Return the psi nearest to the given psi0 at which x is a multiple of pi."""
+    """Return the psi nearest to psi0 at which the axis of the smaller of A and B lies along the radius."""
     bottom = np.sign(the.tilt(p)[1]) * (np.where(p["A"] < p["B"], 0.0, np.pi / 2) - p["phi0"])
     return bottom + np.pi * np.round((p["psi0"] - bottom) / np.pi)
 

@@ -36,7 +36,7 @@ from .elliptic import EllipticFunctions
 class _Steps(NamedTuple):
     """Numbers of steps in a quarter of the period. Sums with these numbers are extrapolated to infinitely many steps."""
 
-    shortest: float  # length of the shortest steps, times the norm of the system
+    shortest: float  # length of the shortest steps times the norm of the matrix of the linear equations
     counts: tuple[int, ...]  # numbers of steps, divided by the least number
     most: int  # motions whose least number of steps is larger get nan
 
@@ -55,8 +55,8 @@ _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
 _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
 _TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
-_CHANGE = 3.2  # assumed ratio of a sum's error to the sum's change if the longest steps are left out (measured: at most 0.3)
-# R H^-1 R is the transpose of H with exchanged halves of rows and of columns, times these signs.
+_CHANGE = 3.2  # bound of the ratio of a sum's error to the sum's change without the longest steps; measured ratios are at most 0.3
+# With R and H of the module's text, R H^-1 R is H^T with exchanged halves of rows and of columns, times these signs.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 
@@ -171,7 +171,7 @@ class PlaneMotions(NamedTuple):
     def _verdict(self, steps: _Steps) -> tuple[Flags, Array]:
         """Return stability and the logarithm of the growth over the period, which is 0 where errors hide it and nan if unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(steps)
-        one = np.exp(-log_scale)  # This is 1 in the unit of t and rho, and its square is 1 in the unit of u.
+        one = np.exp(-log_scale)  # This is 1 / c. `multiplier_sums` divides t by c and u by c^2.
         square, middle = one**2, u + 2 * one**2
         positive = np.array(
             [t**2 / 4 - u + 2 * square, middle - 2 * t * one, middle + 2 * t * one, 16 * square - t**2]
@@ -199,12 +199,12 @@ class PlaneMotions(NamedTuple):
         """Return t and s as in `multipliers`, scaled where they could overflow, and the logarithm of the scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        # If half a turn has rho, the whole turn has rho^2 - 2.
+        # The sum rho = multiplier + 1/multiplier of half a turn becomes rho^2 - 2 for the whole turn.
         turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """Return t / c, u / c^2, log(c), and how much the first two change if the longest steps are left out, (5, points), or nan.
+        """Return t / c, u / c^2, log(c), and how much t / c and u / c^2 change without the longest steps, (5, points), or nan.
 
         t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and c a scale.
         """
@@ -237,14 +237,14 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
-        """Return the first rows of `multiplier_sums` with equal steps, (3, LANES). `matrices` are zeros, to be filled for `of_steps`."""
+        """Return t / c, u / c^2 and log(c) of `multiplier_sums`, (3, LANES). `matrices`, at first zeros, is filled for `of_steps`."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)
         nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])
         sn, cn, dn = mean.functions(nodes[..., None] / (4 * count))
         if rotates:
             a1, a2, w3 = cn, -np.sign(f) * sn, self.frame + f * dn
-        else:  # The second quarter is the first quarter backwards, with -cn.
+        else:  # In the second quarter of a period, sn and dn run backwards. So does cn, with the opposite sign.
             k = np.sqrt(self.modulus)
             a1, a2, rate = dn, -k * sn, f * k * cn
             w3 = np.concatenate([self.frame + rate, self.frame - rate[::-1, ::-1]])

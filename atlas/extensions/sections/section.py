@@ -61,7 +61,7 @@ def section(
     system : str
         Name of a system, such as "satellite" or "fixed_point".
     points : mapping, list of mappings, Dataset, DataFrame or path
-        As in `label_points`, of numbers, 1-D arrays or arrays along "point".
+        As in `label_points`, with numbers, 1-D arrays or arrays along "point" as values.
     at : str
         Two expressions with = between them, then "rising" (default), "falling" or "either". The surface "psi_dot = 0 rising" is
         crossed where left minus right becomes positive. Names are states, constants and observables of the system. For a body the
@@ -74,7 +74,7 @@ def section(
     duration : float or str, optional
         Longest time of a motion, in time units or a text as in `label_points`; default "6000 / natural_rate".
     transient : float or str
-        Time before crossings count, in the same forms.
+        Time from the start in which crossings are not counted, in the forms of `duration`.
     tolerance : float
         Phase error of the fastest frequency after transient and duration, rad.
     method : str
@@ -83,8 +83,8 @@ def section(
     Returns
     -------
     xarray.Dataset
-        Variables over "point" and "crossing", nan beyond the crossings of a point, are each kept expression under its text, time
-        from the start, and error. The error is the largest error of expressions and time, from a second run with longer steps.
+        Variables over "point" and "crossing" are time from the start, error, and the kept expressions under their texts. They are nan
+        after a point's last crossing. The error is the largest error of expressions and time, from a second run with longer steps.
         Variables over "point" are crossings (their number) and status, which is ok, not_finite, under_resolved, or step_sensitive
         where the two runs have different numbers of crossings. The parameters are coordinates.
 

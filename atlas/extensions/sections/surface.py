@@ -84,7 +84,7 @@ class Surface:
             raise BadInput(f"{key}: abs is not smooth; allowed: smooth functions")
         if moving.isdisjoint(self.names):
             raise BadInput(f"{key}: no quantity of the motion; {allowed_text('', sorted(moving))}")
-        # An equation of the sine and cosine, which is smooth, replaces an angle that is alone on the left.
+        # If an angle stands alone on the left side, a smooth equation of its sine and cosine replaces the given equation.
         alone = system.frame and moving.isdisjoint(self.right.names)
         self.angle = self.left.text if alone and self.left.text in {"theta", *JUMPING} else ""
         if system.frame and (jumping := self.names & JUMPING - {self.angle}):
@@ -125,7 +125,7 @@ class Surface:
         return value.real, value.imag / STEP
 
     def contains(self, state: Array, constants: Array) -> Mask | bool:
-        """Whether a zero is on the surface. For psi and phi, a zero half a turn away is not."""
+        """Whether a zero of `value` is on the surface. For psi and phi, `value` is also 0 half a turn away from the surface."""
         if self.angle not in JUMPING:
             return True
         values = quantities(self.system, {self.angle}, state, constants)

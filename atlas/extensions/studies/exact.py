@@ -119,7 +119,7 @@ class SymmetricTop:
             if value >= 0 or slope <= 0:
                 break
             x -= 3 * value / (slope + np.sqrt(np.maximum(4 * slope**2 - 6 * value * curvature, 0.0)))
-        # u'^2 = (y - (2 - x)) (r0 + r1 y - beta y^2). The quadratic has the roots y >= 0 and -third / beta <= 0.
+        # With v = 1 + u, u'^2 = (v - (2 - x)) (r0 + r1 v - beta v^2). The quadratic has the roots y >= 0 and -third / beta <= 0.
         r0 = lower**2 / (2 - x)
         r1 = (r0 - 2 * e_minus - 2 * a * lower) / (2 - x)
         larger = 0.5 * (abs(r1) + np.sqrt(r1**2 + 4 * beta * r0))

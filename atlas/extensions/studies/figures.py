@@ -43,7 +43,7 @@ MIN_HEIGHT = 5  # a case with fewer points is drawn as high as a case with MIN_H
 def stress_figure(ds: xr.Dataset) -> Figure:
     """Draw the verdict on every point at every level. Each method has two panels, with fixed steps and with automatic steps.
 
-    A dot marks accurate rates. A cross marks a statistic that is off by more than ten times its estimate.
+    A dot marks accurate rates. A cross marks a statistic whose error exceeds ten times `error_estimate`.
     """
     cases = ds["case"].values
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # first point of each case

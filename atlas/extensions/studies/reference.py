@@ -353,7 +353,7 @@ def integrate_observed_group(
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
     """Return the extremes, along the last axis, of cubics between instants at unit distance."""
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
-    # The cubic value + left x + b x^2 + c x^3 has an extreme between x = 0 and 1 where its derivative changes sign.
+    # The cubic is value + left x + b x^2 + c x^3 for 0 <= x <= 1. It has one extremum inside if left and right differ in sign.
     b, c = 3 * rise - 2 * left - right, left + right - 2 * rise
     root = np.sqrt(np.maximum(b**2 - 3 * left * c, 0.0))
     x = -left / (b + np.where(left > 0, -root, root))

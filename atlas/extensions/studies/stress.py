@@ -434,8 +434,8 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
 def constraint_bound(method: Method, y: float, steps: int) -> float:
     """Return the largest expected change of |gamma| in a run of a body that turns by y radians a step.
 
-    Each step multiplies the turning part by |R(i y)|, where R is the stability function of the method. To leading order this
-    factor is 1 - dissipation y^p with p = `method.dissipation_order`. Rounding adds at most one ulp.
+    Each step multiplies the part of gamma normal to the axis by |R(i y)|, where R is the stability function of the method. To
+    leading order this factor is 1 - dissipation y^p with p = `method.dissipation_order`. Rounding adds at most one ulp.
     """
     return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
 
@@ -451,7 +451,7 @@ def constraint_change(system: System, method: Method, points: Points, y: float, 
 
 
 def limits(*, steps: int = 10_000_000) -> list[tuple[str, ...]]:
-    """Return a table of the limits of every method, in theory and as observed in runs of `steps` steps."""
+    """Return a table of every method's limit of stability and loss of |gamma| in `steps` steps, in theory and as observed."""
     satellite = systems.get("satellite")
     tumbling, _ = point_columns(satellite, {"A": 0.9, "B": 1.1, "k1": 0.2, "theta0": 0.7, "n": 0.5, "m": 0.9})
     turning, _ = point_columns(satellite, {"C": 1.0, "Omega": 0.0, "theta0": 1.0, "m": 1.0})

@@ -213,7 +213,7 @@ def complain(folder: Path, text: str) -> None:
 
 
 def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
-    """Raise ValueError unless entries have these types. Bools, numbers from 1e18 on and texts beyond UTF-8 are refused."""
+    """Raise ValueError unless entries have these types. Refuse bools, numbers of at least 1e18 and texts that UTF-8 cannot encode."""
     for name, kind in types.items():
         value = content.get(name)
         is_number = isinstance(value, int | float)

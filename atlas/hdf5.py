@@ -19,8 +19,8 @@ from .errors import BadInput, one_line
 
 MAX_NAMES = 2000  # largest number of variables and groups of a file
 MAX_CHUNK_BYTES = 1 << 26  # a chunk that is larger than its array may have this many bytes
-SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # first bytes of NetCDF 4 and of the earlier formats
-# Attribute of every atlas, group of every atlas of versions before 0.1.0.
+SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # first bytes of NetCDF 4 and of classic NetCDF
+# Names of the attribute that marks an atlas, and of the group that marks an atlas from a version before 0.1.0.
 OWN = b"atlas_version", b"checksums"
 
 
@@ -74,7 +74,7 @@ def check_contained(path: Path | str) -> None:
     check_path(path)
     with open(path, "rb") as file:
         status = os.fstat(file.fileno())
-        if file.read(3) != b"CDF":  # files of earlier formats contain all numbers
+        if file.read(3) != b"CDF":  # a classic NetCDF file refers to no other file
             _check_objects(str(path), status.st_dev, status.st_ino, status.st_size, status.st_ctime_ns)
 
 
@@ -124,7 +124,7 @@ def is_own(path: Path) -> bool:
         with _opened(path) as file:
             root = h5g.open(file, b"/")
             return bool(h5a.exists(root, OWN[0]) or OWN[1] in root)
-    except Exception:  # the file has an earlier format, or is damaged
+    except Exception:  # the file is a classic NetCDF file, or damaged
         with suppress(ValueError), path.open("rb") as content:  # an empty file raises ValueError
             return mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ).find(OWN[0]) >= 0
         return False

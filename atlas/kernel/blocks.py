@@ -80,7 +80,7 @@ class Arrays(NamedTuple):
     """Data of points that a kernel reads and writes. Between two calls for parts of a run, `state` is in the kernel's units."""
 
     step_size: Array  # in time units
-    state: Array  # state at the start (see `start_state`), and at the end after the call, (kernel.STATES, points)
+    state: Array  # state at the start (see `start_state`), which a call replaces by the state at the end, (kernel.STATES, points)
     constants: Array  # constants of the equations, (constants, points)
     scales: Array  # see `ensemble.integral_scales`, (integrals, points)
     given: Array  # constants of the plugged instruments, (kernel.PLUGGED_GIVEN, points)
@@ -96,7 +96,7 @@ def start_state(kernel: ModuleType, state: Array) -> Array:
 
 
 def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
-    """Return the arrays with memory for `resume`, which runs in several calls need."""
+    """Return the arrays with memory in `resume`. Runs that take several calls need this memory."""
     rows = 4 * kernel.NODE_ROWS + len(arrays.scales)
     return arrays._replace(resume=np.empty((rows, arrays.state.shape[1])))
 
@@ -149,7 +149,7 @@ def call_by_parts(
     threads: Threads,
 ) -> None:
     """Call a kernel for all blocks in threads. A long block takes several calls."""
-    # Blocks are divided into chunks, about four or more for each thread, and of about CHUNK point-steps at most.
+    # Successive blocks form chunks, about four or more for each thread. A chunk of several blocks has at most CHUNK point-steps.
     total, stop = np.cumsum(point_steps), threading.Event()
     least_chunks = 1 if threads.count == 0 else 4 * (threads.count or available_threads())
     max_cost = min(CHUNK, -(-int(total[-1]) // least_chunks)) if total.size else CHUNK

@@ -66,7 +66,7 @@ CALLED = INLINE.replace("forceinline=True, ", "")
 _FASTMATH = f" fastmath={OPTIONS['fastmath']!r},"
 UNFUSED = CALLED.replace(_FASTMATH, "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
-# These settings of Numba choose the processor. They change numbers only through fused multiply-add.
+# These settings of Numba choose the processor. They change the results of kernels only through fused multiply-add.
 PROCESSOR_SETTINGS = {
     "CPU_NAME": "processor that the code is for",
     "CPU_FEATURES": "instructions that it may use",
@@ -105,9 +105,9 @@ def cpu() -> str:
 
 
 def architecture() -> str:
-    """Return the architecture of the processor and whether code fuses multiply and add, which change numbers of kernels.
+    """Return the architecture of the processor and whether code fuses multiply and add. Both change the results of kernels.
 
-    The name of the processor and the length of the vectors change no bit, because each lane of a vector is one motion.
+    The name of the processor and the length of the vectors change no bit of the results, because each lane of a vector is one motion.
     """
     config: Any = numba.config
     features = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES
@@ -133,7 +133,7 @@ def settings() -> dict[str, str]:
 
 
 def numeric_settings() -> dict[str, str]:
-    """Return the settings that change numbers, by name. `architecture` records fused multiply-add."""
+    """Return the settings that change the results of kernels, by name. `architecture` records fused multiply-add."""
     return {name: value for name, value in settings().items() if name not in PROCESSOR_SETTINGS}
 
 

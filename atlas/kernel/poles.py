@@ -28,7 +28,7 @@ class Passage(IntEnum):
 
     G1, G1_SLOPE, G2, G2_SLOPE, U3, U3_SLOPE = range(0, 24, 4)
     TIME = 24  # real instant near the zeros, relative to the first of the four nodes
-    Z_REAL, Z_IMAG = range(25, 27)  # zero or approximation of a zero, relative to the same node
+    Z_REAL, Z_IMAG = range(25, 27)  # approximate zero of zeta, relative to the first of the four nodes
     FARTHER = 27  # 1.0 if the farther zero may be near as well, else 0.0
     VERTICAL = 28  # the sign of g3
     PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # subtracted from psi' and phi' in the sums
@@ -145,7 +145,7 @@ def pole_terms(passages, e, terms, farther):
 
 
 def sum_errors(terms, farther, e, tau, slope, vertical):
-    """Write the differences sum - integral that one zero causes for theta'^2, psi', psi'^2, phi' and phi'^2."""
+    """Write the errors that one zero causes in the trapezoidal sums of theta'^2, psi', psi'^2, phi' and phi'^2."""
     simple, double = trapezoid_error_of_pole(tau, slope)
     theta = (
         simple.real * terms[farther, Term.THETA_REAL, e] - simple.imag * terms[farther, Term.THETA_IMAG, e]
@@ -161,7 +161,7 @@ def sum_errors(terms, farther, e, tau, slope, vertical):
 
 
 def trapezoid_error_of_pole(tau, slope):
-    """Return sum - integral of 1 / (t - z) and of 1 / (t - z)^2. `tau` and `slope` are `sampling.stretched` at z."""
+    """Return the trapezoidal sums minus the integrals of 1 / (t - z) and 1 / (t - z)^2. `tau` and `slope` are `sampling.stretched` at z."""
     side, turns = (1.0 if tau.imag > 0.0 else -1.0), tau.real - np.floor(tau.real + 0.5)
     q_less_1 = exponential_less_1(complex(-2.0 * np.pi * min(abs(tau.imag), 8.0), 2.0 * np.pi * turns))
     inverse = complex_inverse(-q_less_1)
@@ -232,7 +232,7 @@ class Turn(IntEnum):
 
     G1, G1_SLOPE, G2, G2_SLOPE, G3, G3_SLOPE = range(0, 24, 4)
     TIME = 24  # approximate instant, relative to the first of the four nodes
-    NODE = 25  # the node before the turning point, relative to the same node
+    NODE = 25  # index, among the four nodes, of the node before the turning point
 
 
 TURN_ROWS = max(Turn) + 1
@@ -241,7 +241,7 @@ TURN_ROWS = max(Turn) + 1
 def turns_twice(f0, f1, s0, s1, rounding):
     """Return 1.0 if a cubic with slopes of equal sign at 0 and 1 has two extremes in between, else 0.0.
 
-    The values are f0 and f1, the slopes s0 and s1. An extreme at 0 or 1 may be one of them. Changes below `rounding` are ignored.
+    The values are f0 and f1, the slopes s0 and s1. One of the two extremes may be at 0 or 1. Changes below `rounding` are ignored.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)

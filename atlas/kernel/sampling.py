@@ -32,7 +32,7 @@ SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
-    """Return theta', psi', phi', normal rate, sin^2 theta, 1.0 outside the cylinder or 0.0 inside. Inside, psi' = phi' = 0."""
+    """Return theta', psi', phi', normal rate, sin^2 theta and `outside` (1.0, or 0.0 in the cylinder, where psi' and phi' become 0)."""
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
     inverse = 1.0 / (sin2_theta if sin2_theta > 1e-300 else 1e-300)
@@ -138,17 +138,17 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 class EndWeights(NamedTuple):
     """Corrections of the weights of the trapezoidal rule at the first four nodes, which are mirrored at the end of a run."""
 
-    values: NDArray[np.float64]  # for values, (4,); the first contains -1/2, because an end counts half
-    slopes: NDArray[np.float64]  # for derivatives, (4,); the sign is opposite at the end of a run
+    values: NDArray[np.float64]  # corrections for values, (4,); the first contains -1/2, as ends count half
+    slopes: NDArray[np.float64]  # corrections for derivatives, (4,), of opposite sign at the end of a run
 
 
 @cache
 def end_weights() -> EndWeights:
     """Return the corrections, which do not depend on the length of a run.
 
-    By the Euler-Maclaurin formula the integral over a run is the trapezoidal sum plus B_2k / (2k)! times the difference of odd
-    derivatives, start minus end. The derivatives are taken from the Hermite interpolation of four nodes, so that the rule is
-    exact up to degree 7.
+    By the Euler-Maclaurin formula the integral over a run is the trapezoidal sum plus, for each k, B_2k / (2k)! times the
+    derivative of order 2k - 1 at the start minus that at the end. The derivatives are taken from the Hermite interpolation of
+    four nodes, so that the rule is exact up to degree 7.
     """
     x = np.linspace(0.0, 3.0, 8)
     basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]

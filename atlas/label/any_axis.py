@@ -15,7 +15,7 @@ from ..theory.motions import predict_circles
 from .plan import Plan
 from .theory import Prediction, frame_motion, on_other_axes, predicted_frames
 
-# A start may be far from every circle if its angular velocity changes by more than this number of rate tolerances, see `near_circle`.
+# Where no steady motion is near, the angular velocity changes by more than this number of rate tolerances, see `near_circle`.
 _FAR_CIRCLE = 10.0
 
 
@@ -23,8 +23,8 @@ _FAR_CIRCLE = 10.0
 def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str, np.ndarray]:
     """Predict labels about any axes in the system's frame and, if the frame turns, in inertial space.
 
-    Axes within the angle tolerance count as parallel. A start that is no steady motion is labelled drifting if its angular velocity
-    is far from every circle, and not_computed otherwise.
+    Axes within the angle tolerance count as parallel. A start that is no steady motion is labelled not_computed if
+    its angular velocity may stay on a circle in the body (see `near_circle`), otherwise drifting.
     """
     system, base, theory = plan.system, tile.base, prediction.variables
     frames = predicted_frames(system, base)

@@ -238,7 +238,7 @@ def warnings_of(system: System, outputs: Sequence[str], points: grid.Grid, durat
 
 
 def _advise(plan: Plan, points: grid.Grid) -> None:
-    """Log once in a process which other method would save time in a long call."""
+    """If a call is long, log the methods that would save time. Each process logs this advice only once."""
     global _advised
     exists = np.flatnonzero(points.exists)
     if _advised or exists.size < MANY_POINTS:

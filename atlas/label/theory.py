@@ -162,7 +162,7 @@ class Theory:
 
     prediction: Prediction
     rounding_growth: Array  # log_growth where the start is exact to within rounding, else 0
-    growth_about_vertical: Array  # log_growth of a third axis that stays exactly on the vertical
+    growth_about_vertical: Array  # log_growth of the angle about a third axis that stays exactly vertical
     unstable: Mask  # whether the start lies, to within rounding, on an unstable exact motion
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
     unknown_growth: Mask  # whether the growth is unknown because an extension is missing

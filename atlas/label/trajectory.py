@@ -33,7 +33,7 @@ MAX_SAMPLES = 10**7
 NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
 # Let d be the sum of the distances between the vertical and the third axis at the two ends of a step. psi and phi are continued over
 # the step if the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body by less than d / MARGIN. Any other
-# step is halved, unless d < AT_VERTICAL, where d is a rounding error.
+# step is halved, unless d is only a rounding error (d < AT_VERTICAL).
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
 # Components of the first axis of the frame along the body axes.
@@ -297,7 +297,7 @@ def _path(
 
 
 def frame_vector(system: System, points: Points, state: Array, constants: Array) -> Array:
-    """Return the first frame axis at the start along body axes, from psi0 and, if the third axis is vertical, from phi0."""
+    """Return the body components of the first frame axis at the start, from psi0 and, if the third axis is vertical, from phi0."""
     g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
     theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
     psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # so that theta is positive
@@ -366,7 +366,7 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi in short steps to `turns`. Return the end states and the motion of each step that is too long."""
+        """Add the changes of psi and phi in short steps to `turns`. Return the states before and after each long step, and the motion's index."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)

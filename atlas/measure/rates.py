@@ -94,13 +94,13 @@ class Rates(MainInstrument):
         return (*RATES, "theta_min", "theta_max")
 
     def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
-        """Return the largest rms or standard deviation of a rate in rad per time unit."""
+        """Return the largest rms or standard deviation of a rate, in rad per time unit."""
         rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
         in_polar_cap = np.isnan(rates[1])
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
     def steady_below(self, settings: RunSettings) -> Array | float:
-        """Return the largest rate that counts as zero in rad per time unit."""
+        """Return the largest rate, in rad per time unit, that counts as zero."""
         return settings.rate_tolerance
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
@@ -259,7 +259,7 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
-    # A run that enters or leaves the cylinder has psi' only in part. So theta decides, and the rate about the vertical must be steady.
+    # In the cylinder psi' is missing. So a run that enters or leaves the cylinder also drifts if theta or the normal rate varies.
     entered = _least_sine(measured) < tolerances.angle
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
     crossing = entered & (swings | (measured["normal_rate_std"] > rate))
@@ -285,7 +285,7 @@ def steady_label(
 
 
 def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
-    """Whether sin(theta) is below the tolerance at all nodes, or at half of the nodes while theta varies by at most the tolerance."""
+    """Whether sin(theta) is below the tolerance at all nodes, or at half or more while theta varies by at most the tolerance."""
     inside = np.asarray(measured["sine_max"] < cylinder_tolerance)
     at_most_nodes = ~inside & (measured.get("outside", np.ones(1)) <= 0.5)
     if at_most_nodes.any():

@@ -40,7 +40,7 @@ RELATIVE_COST = 1.5
 # by d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix and cause
 # the growth. Falls of 14 to 22 were then measured, and of at most 7 along chaotic motions.
 MAX_DRAWDOWN = 10.0
-# Bound of the growth of L in one passage near an unstable motion. Growth ln(1/d^2) < 37 is expected for d > 1e-8. Up to 39 was found.
+# Bound of the growth of L in one passage at a distance d > 1e-8 from an unstable motion. Theory gives ln(1/d^2) < 37, and runs up to 39.
 MAX_PASSAGE_GROWTH = 50.0
 # Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR). In chaos it grows as half of L (above MIN_CHAOTIC).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
@@ -118,7 +118,7 @@ def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0
 
 
 class Separation:
-    """Tangent vectors of an ensemble, which are integrated for one or more durations of each run."""
+    """Tangent vectors of an ensemble. Each call of `integrate` continues the vectors of some points for one duration."""
 
     def __init__(
         self, system: System, kernel: ModuleType, ensemble: Ensemble, steps: TangentSteps, rate_unit: Array

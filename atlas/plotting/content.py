@@ -64,7 +64,7 @@ class Panel:
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
-    """Return the panel without hatching and lines that are too small to be seen, and with the kinds of `crowded` lines."""
+    """Return the panel with `crowded` filled in, and without hatching too small to be seen or kinds of lines that stay near the frame."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     is_visible = slow.mean() >= MIN_VISIBLE
     if is_visible:
@@ -141,7 +141,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    # No theory is drawn on a map over other dimensions than the scene's axes, or of values averaged over an axis.
+    # Theory is drawn only on maps over axes of the scene, and not on maps of values that are averaged over an axis.
     if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():
         return Panel(array, white, slow)
     try:

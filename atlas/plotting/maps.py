@@ -327,7 +327,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels row by row with one legend."""
     check_options(views, options)
-    # Colour bars and axes name variables of numbers. The legend names a flag variable, unless there are a title or several names.
+    # Colour bars and axes name variables of numbers. Without a title, the legend names the only flag variable. Otherwise panels do.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):
@@ -401,7 +401,7 @@ def check_options(views: list[View], options: MapOptions) -> None:
 
 
 TEXT_ROW = 2.8  # height of a line of text, mm
-LEGEND_SHARE = 0.97  # largest width of a legend / figure; low resolutions draw letters wider than print
+LEGEND_SHARE = 0.97  # largest width of a legend, divided by the figure's; letters are wider at low resolution than in print
 
 
 @dataclass(frozen=True)
@@ -553,7 +553,7 @@ def as_math(kind: str) -> str:
     return kind
 
 
-# Position of samples of the legend, which belong to the Axes but must draw nothing there.
+# Position of samples of the legend. Samples belong to the Axes, but at nan they draw nothing in the Axes.
 _NOWHERE = np.full((1, 2), np.nan)
 
 

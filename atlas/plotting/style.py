@@ -123,7 +123,7 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each flag, from QUALITATIVE for few numbered flags, else from COLOURS or even steps of luminance."""
+    """Return the colour of each flag. Few numbered flags take QUALITATIVE. Others take COLOURS by name, or else a step of luminance."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
@@ -132,7 +132,7 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
     )
-    if len(names) > 12:  # no map has so many colours that differ in grey, so warm and cold greys alternate
+    if len(names) > 12:  # no colour map has so many distinct luminances, so warm and cold greys alternate
         tint = 0.04 * (-1.0) ** np.arange(len(names))[:, None] * [1, 0, -1]
         shades = np.clip(np.linspace(1, 0.02, len(names))[:, None] + tint, 0, 1)
     return {
@@ -197,7 +197,7 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
 def drawable(text: str) -> str:
     """Return a text that is safe to draw, with `printable` lines of limited length.
 
-    Dollar signs are escaped in lines that Matplotlib cannot read as formulas. Every text from outside passes this function.
+    Dollar signs are escaped in lines that Matplotlib cannot read as formulas. Every text from outside passes through this function.
     """
     lines = [printable(line, MAX_MESSAGE) for line in text.split("\n")]
     for i, line in enumerate(lines):  # Matplotlib sets each line of a text by itself

@@ -155,7 +155,7 @@ def columns_of(
     earlier: Sequence[Earlier] = (),
     points: np.ndarray | None = None,
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
-    """Return variables and solved parameters at flat indices `points`, by default all, and numbers of reused points by atlas."""
+    """Return variables and solved parameters at flat indices `points` (None: all), and the number of points reused from each atlas."""
     scene, all_reused = plan.scene, Counter[str]()
     tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.max_points_per_tile())
     # Refinement needs the label, even if the label is not in the outputs of the scene.
@@ -182,7 +182,7 @@ def evaluate_at(
     earlier: Sequence[Earlier] = (),
     threads: Threads = ALL_THREADS,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Return variables and parameters at flat indices, the number of points with a motion, and numbers of reused points by atlas."""
+    """Return variables and parameters at flat indices, the number of points with a motion, and the number reused from each atlas."""
     points = grid.points_at_indices(scene, indices)
     reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
     remaining = np.arange(indices.size)

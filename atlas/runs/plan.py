@@ -132,7 +132,7 @@ class ScenePlan:
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Return the number of tiles that are computed at the same time. The smaller the tiles, the more of them keep threads busy."""
+        """Return how many tiles are computed at the same time. The smaller the tiles, the more are needed to occupy all threads."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1

@@ -104,7 +104,7 @@ class Earlier:
 
 
 def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
-    """Raise BadInput if the atlas of `old` has other bits or too few variables for `scene`, or shares no points with it."""
+    """Raise BadInput if `old` gives other bits than `scene`, lacks variables of `scene`, or shares no points with `scene`."""
     own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
     if different := differences(own_facts, facts, f"in {path}", "in the scene"):
         raise BadInput(

@@ -163,7 +163,7 @@ def _labels_of_runs(
     source: str,
     departure_error: Array | None = None,
 ) -> TrueLabels:
-    """Return labels from statistics; `departure_error` is the relative error of statistics of departures, (points,)."""
+    """Return labels from statistics. For departures from equilibria, rms and std have the relative error `departure_error`, (points,)."""
     measured = {name: np.array([run[name] for run in runs]) for name in (*EXACT_STATISTICS, "outside")}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
     if departure_error is None:

@@ -43,7 +43,7 @@ def of_folder(folder: Path) -> Files:
 
 
 def changed(folders: Iterable[Path] = ()) -> list[Path]:
-    """Return the files of this package and of `folders` that have changed since the first reading. Loaded modules may be older."""
+    """Return the files of this package and of `folders` that changed since the first reading. Loaded modules may lack the changes."""
     states = [(PACKAGE, AT_IMPORT, read()), *((each, of_folder(each), read(each)) for each in folders)]
     return sorted(
         folder / name

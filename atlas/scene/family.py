@@ -14,8 +14,8 @@ from .expressions import Expression
 
 # A point counts as on the family if the residuals of all conditions, which are dimensionless, are below this number.
 ON_FAMILY = 1e-9
-# If a formula has no solution, these values are tried, and an error message names the value with the smallest residual. The value 0
-# is left out, because Euler angles are singular at theta0 = 0.
+# If the formula of a parameter in `solve` has no solution, these values of the parameter are tried. An error message names the value
+# with the smallest residual. The value 0 is left out, because Euler angles are singular at theta0 = 0.
 TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[:, None]
 # These amounts are added to a solved parameter. If the conditions still hold, the family leaves the parameter free.
 TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]

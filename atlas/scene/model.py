@@ -231,7 +231,7 @@ class Scene:
     ties: Mapping[str, Tie]  # expressions by the names that they define, in order of evaluation
     family: str | None = None  # name of the family of steady motions on which every point starts
     solve: tuple[str, ...] = ()  # parameters that formulas of the family compute, in this order
-    choice: Mapping[str, Any] = field(default_factory=dict)  # branch or near for `family.near_values`
+    choice: Mapping[str, Any] = field(default_factory=dict)  # key branch or near of [family], and the value
     nudge: Mapping[str, float] = field(default_factory=dict)  # amounts added to start values after solving
     duration: Duration = Duration()  # length of the runs
     transient: Duration = Duration(0.0)  # time before statistics and labels begin
@@ -240,7 +240,7 @@ class Scene:
     map: str = ""  # variable shown first on maps and pages, or empty to leave the choice to `map_variable`
     seed: int = 0  # seed of the random numbers in ties
     refine: Refine | None = None  # refinement near borders of labels
-    points: Mapping[str, Any] | None = None  # the table [points], in which numbers replace the name of a file
+    points: Mapping[str, Any] | None = None  # the table [points]; numbers from a file replace the file's name
     about: About = EMPTY_ABOUT  # global attributes of the atlas
     source: Source | None = field(default=None, compare=False)  # the file of the scene, for error messages
 

@@ -61,7 +61,7 @@ KEYS: checks.Keys = {
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """Return the table [points] and its columns by name. In the table, numbers replace the name of a file. Files need a `folder`."""
+    """Return the table [points] and its columns by name. If the table names a file in `folder`, the file's numbers replace the name."""
     checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:

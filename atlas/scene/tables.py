@@ -237,7 +237,7 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
         if kind not in "iufO" or (kind == "O" and any(isinstance(v, str | bool) for v in np.ravel(array))):
             raise TypeError
         array = array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):  # such as for rows of different lengths
+    except (TypeError, ValueError, OverflowError):  # for example, rows of different lengths
         raise BadInput(f"{name} = {shown(values)}: must be a number or an array of numbers") from None
     if isinstance(array, xr.DataArray):
         return array

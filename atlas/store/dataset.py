@@ -173,7 +173,7 @@ def provenance(
     system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
     title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the attributes of CF, of ACDD-1.3 and of this package for the atlas of a scene, or of points with title and outputs.
+    """Return the attributes of CF, ACDD-1.3 and this package for an atlas. `title` and `outputs` count only without a `scene`.
 
     `timing` is the number of points and the wall-clock time in seconds, if known.
     """

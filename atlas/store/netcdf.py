@@ -67,7 +67,7 @@ def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
 
 
 def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
-    """Return the hash of the dimensions, attributes except HASH, and variables of a file, in C order or chunk by chunk."""
+    """Return the hash of a file's dimensions, variables, and attributes other than HASH. Values enter in C order or chunk by chunk."""
     digest = hashlib.sha256()
 
     def add(*facts: Any) -> None:

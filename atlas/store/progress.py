@@ -47,7 +47,7 @@ class Progress:
         self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
-        """Add points to the total, of which the number `done` is finished already."""
+        """Add points to the total. Of these points, `done` are already finished."""
         self.points += points
         self.skip(done)
         self._save(running=True)

@@ -22,8 +22,8 @@ class Tally:
     """Counts of flags, histograms of errors, and largest values."""
 
     def __init__(self) -> None:
-        # `counts` has the number of points for each flag of a variable, and for each bin of errors of a group in GROUPS. `largest`
-        # has the largest integral_drift and the largest errors of each group, of "unstable" motions, and of all "others".
+        # `counts` has the number of points by flag of each variable, and by bin of errors of each group in GROUPS. `largest` has the
+        # largest integral_drift, and the largest error of each group, of all "unstable" motions in groups, and of all "others" there.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod

@@ -60,7 +60,7 @@ CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"),
 
 
 class PlaceStore(WrapperStore[Any]):
-    """A place as a store of the package zarr. In a whole store a missing object is an error, instead of fill values."""
+    """A place as a store of the package zarr. A missing chunk raises BadInput in a whole store, and means fill values in others."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class PlaceStore(WrapperStore[Any]):
         self.place, self.hashes = place, dict[str, str]()
         self.is_whole, self.has_checksums = is_whole, has_checksums
         self.stamp = stamp  # stamp of the metadata of a whole store
-        # The codec that compresses the objects of an array, and the least and most bytes of an unpacked object.
+        # `packed` maps the name of an array to the codec of the array's objects and to the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed
         self.folder = os.path.realpath(place.path) if isinstance(place, Folder) else ""
 

@@ -27,7 +27,7 @@ Points = Mapping[str, Array]
 
 # Formulas of theory may overflow if a parameter exceeds this magnitude or a positive parameter is below 1 / MAX_MAGNITUDE.
 MAX_MAGNITUDE = 1e60
-# Largest dimensionless condition residual of a start on a family. A third axis with a smaller sin theta counts as vertical.
+# Largest dimensionless residual of the conditions for a start on a family, and largest sin theta of a vertical third axis.
 FAMILY_TOLERANCE = 1e-10
 # Name that scenes and datasets use for `System.natural_rate`.
 NATURAL_RATE = "natural_rate"
@@ -106,7 +106,8 @@ class Condition:
     residual: Callable[[Points], Array]
 
 
-# If a scene asks for the solution nearest to a value, points hold the value under NEAR + name for a name in Family.several.
+# For each name in Family.several, a scene may ask for the solution nearest to a value (inf: the largest). Points then hold the value
+# under NEAR + name. A formula that solves for the parameter also finds the value under the parameter's name.
 NEAR = "near "
 
 
@@ -119,10 +120,10 @@ class Family:
     title: str = ""
     equations: str = ""  # numbers of the equations in the paper, or another source
     conditions: tuple[Condition, ...] = ()
-    # Formula for the value of each parameter on the family, nan where there is none. Formulas are used in the order of the mapping.
+    # Formula for the value of each parameter on the family. Where no value exists, the formula gives nan. The order is that of use.
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
-    # Text on the default solution, by the name of a parameter (or of a rate in formulas for start values) with several solutions.
-    # For the solution nearest to a value (inf: the largest), points hold the value under NEAR + name, and under name if solved.
+    # Text on the default solution, by the name of a parameter that has several solutions. The parameter is in `solve`, or it is a
+    # rate in formulas for start values. The comment on NEAR says how formulas learn of another choice.
     several: Mapping[str, str] = field(default_factory=dict)
     # Functions of points that return flags.Stability and growth rates, rad per time unit. `rough_stability` has fewer digits.
     stability: Callable[[Points], tuple[Flags, Array]] | None = None

@@ -1,4 +1,4 @@
-"""Compute bounds of frequencies from a high power of the Jacobian, and time derivatives of states."""
+"""Compute time derivatives of states, and bounds of frequencies from a high power of the Jacobian."""
 
 from __future__ import annotations
 

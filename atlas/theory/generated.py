@@ -7,7 +7,7 @@ axes. The angular velocity is `w`, and `vectors` are the vectors at rest in the 
 from __future__ import annotations
 
 DEGREE = 0  # degree of the right-hand side in the states
-# Pairs (p, q) from 1 to 2 DEGREE without a common factor. The two rates of a periodic motion have a ratio p : q.
+# Pairs (p, q) of integers from 1 to 2 * DEGREE without a common factor. The two rates of a periodic motion have a ratio p : q.
 PERIODS = ((1, 1),)
 
 

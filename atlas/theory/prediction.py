@@ -138,10 +138,11 @@ def label_of(test, membership, answer, exact, nudged):
 
 
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
-    """Return the label about any two axes: `exact` if the motion is exact about other axes, else `own`.
+    """Return the label of a motion about any two axes by rule 10.
 
-    `own` and `answer` come from `predict`, and `exact` is the label of the circle of the exact motion. If `near` is
-    true, the start may stay on a circle, and drifting is predicted only for exact motions.
+    If the motion is exact about other axes than the third and the vertical, the label is `exact`, the label of the motion's circle,
+    or follows from `exact` after a nudge. Otherwise the label is `own`, which `predict` returned. If `near` is true, the angular
+    velocity may stay on a circle in the body, and drifting is predicted only for exact motions.
     """
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:

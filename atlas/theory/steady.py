@@ -64,7 +64,7 @@ from .point import (
 # A difference of rates below this fraction of the rates is a rounding error.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
-# Axes from derivatives have errors. Errors below this value, in units of rounding, widen the test of the residual.
+# Axes from derivatives have errors. Errors below this multiple of rounding errors raise the tolerance of the residual.
 MAX_ERROR = 1e4
 # A start is far from every steady motion if the first-order change of rates exceeds this many tolerances. Among 30 000 starts
 # near steady motions, no start with a steady label had a change above 2.4.
@@ -191,10 +191,7 @@ def is_beside(start, motion, bound):
 
 
 def is_steady(start, constants, motion, bound, derived):
-    """Return whether the residual vanishes at all nodes of a candidate.
-
-    If `derived` is true, the axes come from derivatives, and their errors widen the test.
-    """
+    """Return whether the residual vanishes at all nodes of a candidate. Errors of axes `derived` from derivatives raise the tolerance."""
     s, m, nu, n = motion
     rate, _ = rest_of(start, motion)
     frame = length(start.frame)
@@ -242,7 +239,7 @@ def phases(start, motion):
 
 
 def residual_at(start, constants, motion, alpha, beta):
-    """Return the magnitude of the residual at the phases `alpha` of n t and `beta` of m t, or inf if v' = v x u fails."""
+    """Return the magnitudes of the residual's components at the phases `alpha` of n t and `beta` of m t, or inf if v' = v x u fails."""
     s, m, nu, n = motion
     back, around = (math.cos(alpha), -math.sin(alpha)), (math.cos(beta), -math.sin(beta))
     fixed = rotate(nu, s, around[0], around[1])

@@ -17,7 +17,7 @@ A permanent rotation that is inclined to the vertical needs a free body, `free_r
 symmetry, `rest` or `other_axis`. Together with the families about the third axis, these families are therefore complete.
 `tests/systems/test_any_axis_families.py` confirms each step.
 
-In Lagrange's case about another axis s of symmetry than the third, with C = s.I s, A the moment across s, and c = s.g,
+In Lagrange's case s is an axis of symmetry other than the third. With C = s.I s, A the moment across s, and c = s.g,
 (C - A)(n^2 - N) c + (C m + l.s) n + Mg r_c.s = 0.
 
 In Grioli's precession a heavy body with a rotor turns at equal rates about s = Mg r_c / |Mg r_c| and about an axis nu normal
@@ -128,7 +128,7 @@ def section_normals(inertia: Array) -> Array:
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
-    """Return component `i` of base + lambda direction. Another component of `vector`, that of largest |direction|, gives lambda."""
+    """Return component `i` of base + lambda direction, where lambda makes another component equal to that of `vector`."""
     magnitudes = np.abs(direction)
     magnitudes[i] = -1.0
     base = np.broadcast_to(base, direction.shape)

@@ -17,7 +17,7 @@ may therefore use no imports and only names of this file.
 STATE = ("p", "q", "r", "g1", "g2", "g3")
 # The unit vector at rest in space.
 FRAME_VECTORS = (("g1", "g2", "g3"),)
-# Mx, My, Mz stand for Mg x0, Mg y0, Mg z0 and NA, NB, NC for N A, N B, N C.
+# Mx, My, Mz stand for Mg x0, Mg y0, Mg z0. NA, NB, NC stand for N A, N B, N C.
 CONSTANTS = (
     "A", "B", "C", "A_inv", "B_inv", "C_inv", "l1", "l2", "l3", "Mx", "My", "Mz", "NA", "NB", "NC", "damping",
 )  # fmt: skip

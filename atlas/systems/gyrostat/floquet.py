@@ -41,7 +41,7 @@ _ADIABATIC_PHASES = 256
 _ADIABATIC_GROWTH = 10.0
 # Nothing grows if the distance of frozen exponents from a collision exceeds this multiple of the rate of rotation.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # number of steps over norm x period for closed forms; trace errors are below 1e-7
+_STEPS_PER_NORM = 2  # steps per unit of norm x period for closed forms; trace errors are below 1e-7
 _MIN_STEPS_CLOSED = 32
 
 
@@ -75,7 +75,7 @@ class _Periodic:
         self.steps = 2.0 ** np.ceil(np.log2(steps))
 
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """Return `result` with values of `of`, a function of fundamental matrices, at the points that are integrated."""
+        """Write of(fundamental matrices, log scale factors) into `result` at the points that are integrated. Return `result`."""
         for count in np.unique(self.steps[np.isfinite(self.steps)]):
             members = np.flatnonzero(self.steps == count)
             part = self.harmonics[:, members], self.period[members], self.span[members]

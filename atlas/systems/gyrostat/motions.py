@@ -1,4 +1,4 @@
-"""Build families of steady motions from starts, closed forms about two axes, and equations that can be solved."""
+"""Build families of steady motions, closed forms of motions about two axes, and equations that can be solved for a parameter."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, So
 
 
 def nearest_root(roots: Array, near: Array) -> Array:
-    """Return the root nearest to `near`, or the largest root of several for near = inf, or nan where there is none."""
+    """Return the root nearest to `near`, or for near = inf the largest of several in magnitude. Return nan if no such root exists."""
     finite = np.isfinite(roots)
     distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
     nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]

@@ -249,7 +249,7 @@ def _verdict(least: Array) -> Flags:
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Return body and motion. A spherical body gets new axes, the first along rotor and fields, or across `w` without them."""
+    """Return body and motion. A sphere gets its first axis along a common line of rotor and fields, or normal to `w` if both are 0."""
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma

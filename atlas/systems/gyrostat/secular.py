@@ -20,7 +20,7 @@ class SecularEquation:
         active = b != 0
         self.d, self.b = np.where(active, d, np.inf), b  # no pole where b_i = 0
         self.exists = active.any(0)
-        # A pole replaces each d_i with b_i = 0, so that the interval between the equal poles is empty and has no root.
+        # Where b_i = 0, another pole is repeated in place of d_i. The interval between the equal poles is empty and has no root.
         anchor = np.take_along_axis(d, active.argmax(0)[None], 0)
         self.poles = np.sort(np.where(active, d, anchor), axis=0)
         self.total = length(b)

@@ -23,7 +23,7 @@ _AMPLITUDE_GROWTH = 10.0
 class Gyrostat(System):
     """Gyrostat in a frame that turns uniformly about its vertical. The theory follows from `body`.
 
-    The states are the angular velocity in space, `rate_states`, and the ``FRAME_VECTORS`` of the equations. These vectors are
+    The states are the angular velocity in space (`rate_states`) and the ``FRAME_VECTORS`` of the equations. These vectors are
     the vertical gamma, or alpha and gamma, as in `Body`.
     """
 
@@ -61,7 +61,7 @@ class Gyrostat(System):
 
     @shared
     def natural_rate(self, points: Points) -> Array:
-        """Return Body.natural_rate, the rate of the frame, else of the fields, else of start and rotor."""
+        """Return Body.natural_rate, which is the rate of the frame, or else of the fields, or else of start and rotor."""
         with np.errstate(all="ignore"):
             return self.body(points).natural_rate(self._triples(self.initial_state(points))[0])
 
@@ -183,7 +183,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
     In general it is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
-    contain only unstable phases. The growth from start to end of the run then counts, if it is more than a change of amplitude.
+    contain only unstable phases. The growth from start to end of the run then counts if its logarithm exceeds _AMPLITUDE_GROWTH.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):

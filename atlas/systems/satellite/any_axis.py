@@ -1,4 +1,4 @@
-"""Motions of spherical satellites, which the gravity gradient does not turn, about any axis of the body and the normal.
+"""Motions of spherical satellites about any axis of the body and about the normal. The gravity gradient does not turn such bodies.
 
 Let rotor and magnet be along an axis s of the body, without drag and without a field along the radius. The body is then a
 spherical top in the field along the normal g, with w = N g + m s and N (C m + k.s) = h3 mu.s. In the orbital frame the rate
@@ -37,7 +37,7 @@ class Start(motions.Start):
         return axes._replace(precession_rate=axes.precession_rate - self.turn)
 
     def across_axis(self) -> Array:
-        """Return a bound of the torque that the parts of rotor and magnet across s exert."""
+        """Return a bound of the torque from those components of rotor and magnet that are normal to s."""
         s = self.axes().spin_axis
         return length(cross(self.rotor, s)) * length(self.w) + length(cross(self.magnet, s))
 

@@ -147,7 +147,7 @@ def _plane_torque(p: Points) -> Array:
 
 
 def _asymmetry_about_normal(p: Points) -> Array:
-    """Return how far gamma is from an axis across which all directions have the same moment of inertia."""
+    """Return residuals that vanish if gamma is a principal axis and all directions normal to gamma have the same moment of inertia."""
     inertia, _, _ = body_vectors(p)
     alpha, gamma = directions(p)
     beta = cross(gamma, alpha)

@@ -22,8 +22,8 @@ kernels use units in which most factors are 1 (`scaled`). Everywhere else a and 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Unit vectors at rest in the orbital frame.
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
-# The parameters of body and fields come first. h1 is divided by |a|, Omega and h3 by |g|, and drag by |a| |g|. Factors in the
-# right-hand side follow: D1 = (B - C)/A and so on, N = 3 Omega^2 / |a|^2 with the parameter Omega, a_inv = 1 / |a|,
+# The parameters of body and fields come first. h1 is divided by |a|. Omega and h3 are divided by |g|, and drag by |a| |g|.
+# Factors in the right-hand side follow: D1 = (B - C)/A and so on, N = 3 Omega^2 / |a|^2 (here Omega is undivided), a_inv = 1 / |a|,
 # g_inv = 1 / |g|, and rotor, magnet, drag and damping divided by moments of inertia.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",

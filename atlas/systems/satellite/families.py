@@ -110,7 +110,7 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """Return psi0 with sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)) and the given sign of cos psi0, or with drag3 the nearest root."""
+    """Return psi0 from 3 Omega^2 s (a - C) sin psi0 = h1 mu3 and the sign of cos psi0. With drag3, return the root nearest to psi0."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)

@@ -112,7 +112,7 @@ def conserves_axial_momentum(points: Points) -> Mask:
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Return a lower bound of the scale of each integral, or nan, as System.integral_scales."""
+    """Return a lower bound of the scale of each integral, or nan where the integral is not constant. See System.integral_scales."""
     axial = symmetric_about_third_axis(points)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
     scales = dict.fromkeys(INTEGRALS, np.zeros_like(points["A"]))

@@ -189,9 +189,9 @@ class Atlas(Questions):
             Name or number of a flag: the lines enclose the region where the variable has this flag. Default: the lines of
             theory.
         variable : str, optional
-            The flag variable; default label. Lines of theory hold in the frame of the variable, such as inertial space for
-            label_inertial. For a frequency, resonances are added. If an extension has lines for the variable, only the lines of
-            the extension are returned.
+            A flag variable or, for lines of theory, any variable; default label. Lines of theory hold in the frame of the
+            variable, such as inertial space for label_inertial. If the variable is a frequency or stability_kind, lines of
+            resonances are added. If an extension has lines for the variable, only the lines of the extension are returned.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional
@@ -203,11 +203,11 @@ class Atlas(Questions):
         -------
         Dataset
             The dimension "vertex" lists the vertices line by line. The variables are the values of the axes, the number `line`
-            of the line, and `kind`, which says what changes at the line, such as "stability limit". Kinds of theory are
+            of the line, and `kind`, which says what changes at the line, such as "stability limit". Lines of theory have the kinds
             `atlas.analysis.boundary.KINDS` and, for exact motions of a family, kinds such as "conical (exact)". A line is closed
             or ends at a limit of the axes. Attributes are the parameters that all points share, with angles in rad. Lines of a
-            region run halfway between points inside and outside, as measured in the logarithm on a logarithmic axis. On an axis
-            with more than `atlas.analysis.select.MAX_CELLS` values only every k-th value is used.
+            region run halfway between points inside and outside, and on a logarithmic axis halfway between the logarithms. If an axis
+            has more than `atlas.analysis.select.MAX_CELLS` values, only every second (third, ...) value is used.
         """
         from .analysis.boundary import boundary
 
@@ -230,7 +230,7 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            Over time, see `atlas.trajectory`.
+            The variables lie along "time"; see `atlas.trajectory`.
         """
         from .analysis.degrees import in_degrees
         from .analysis.select import nearest_trajectory
@@ -247,16 +247,16 @@ class Atlas(Questions):
         worst : int, optional
             Number of disagreements, or of changes of each label, to list, at least 0.
         degrees : bool, optional
-            Print the angles of points in degrees; by default the angles of axes with display_units = "deg".
+            Print the angles of points in degrees. By default only angles of axes with display_units = "deg" are in degrees.
 
         Returns
         -------
         str
-            A comparison with theory has a confusion table, the agreement, unstable points that survive, and the clearest
-            disagreements. A comparison with another atlas has the differences of the scenes and the changes of flags, with a
+            A comparison with theory has a confusion table, the agreement, linearly unstable points with a steady label, and the
+            clearest disagreements. A comparison with another atlas has the differences of the scenes and the changes of flags, with a
             table of labels in this atlas (rows) and in the other (columns). For each numeric variable the text has the largest
-            difference, and the place and size of the largest ratio of the difference to the larger error_estimate. Variables are
-            loaded whole, one after another.
+            difference, and the place and size of the largest ratio of the difference to the larger error_estimate of the two
+            atlases. Variables are loaded whole, one after another.
         """
         if other is None:
             from .analysis.compare import report
@@ -389,9 +389,9 @@ class Atlas(Questions):
         Returns
         -------
         DataArray
-            Sum over the axes of the second differences of theta_max - theta_min between neighbouring points, rad; nan
-            at the edges. It is small where motions depend smoothly on the parameters, and large where motions are chaotic and at
-            borders; draw its logarithm.
+            Sum over the axes of the magnitudes of second differences of theta_max - theta_min, rad; nan at the edges. Unlike a
+            Lyapunov exponent, the sum needs no further integration. The sum is small where motions depend smoothly on the
+            parameters, and large at borders and where motions are chaotic. Draw the logarithm of the sum.
 
         References
         ----------
@@ -425,8 +425,8 @@ class Atlas(Questions):
             - border_entropy: the same mean over boxes with several flags. A value above ln 2 means fractal borders.
             - missed: fraction of the cells of side 2 with equal corners that have another value at a point between the corners,
               such as an island or a thin tongue.
-            - missed_bound: upper 95 % bound of missed [2]_, if cells are independent samples. The bound holds for side 2. The map
-              itself has side 1 and misses less if the exponent is above 0.
+            - missed_bound: upper 95 % bound of missed [2]_, if cells are independent samples. The bound holds for cells of side
+              2. The cells of the map have side 1 and miss less if the exponent is above 0.
 
         References
         ----------

@@ -126,7 +126,7 @@ def option(name: str, value: object) -> str:
 
 
 def deprecated(what: str, instead: str, version: str) -> None:
-    """Warn the caller of the package or of a command that `version` removes `what`, and name what to use instead."""
+    """Warn that `version` removes `what`, and name what to use instead. In Python the warning points to the line that called atlas."""
     message = f"{what} is deprecated, and version {version} removes it: use {instead}"
     if _in_shell:
         logging.getLogger("atlas").warning(message)

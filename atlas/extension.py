@@ -15,7 +15,7 @@ from . import sources
 from .errors import BadInput, allowed_text, one_line
 
 GROUP = "atlas.extensions"
-# "module:name" of an object in the package of the record
+# "module:name" of an object in the package of an `Extension`
 Reference = str
 
 
@@ -23,7 +23,7 @@ Reference = str
 class Extension:
     """The parts that a package adds to the core. Each part is imported on use.
 
-    An entry point with the name of the extension refers to this record. Parts are references, "module:name", to modules inside
+    An entry point with the name of the extension refers to an `Extension`. Parts are references, "module:name", to modules inside
     `package`.
 
     Parameters
@@ -31,7 +31,7 @@ class Extension:
     name : str
         Name of the extension, and of its entry point.
     package : str
-        Package that contains the modules, such as ``__name__`` of the module of the record.
+        Package that contains the modules, such as ``__name__`` of the module that makes the object.
     title : str
         What the extension adds, in a few words.
     needs : sequence of str, optional
@@ -117,7 +117,7 @@ class Extension:
 PARTS = tuple(
     each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
 )
-# Kinds of parts that are named after systems. Several extensions may have a part for the same system; see `of_each`.
+# Each part of these kinds has the name of a system. Several extensions may have a part for the same system; see `of_each`.
 OF_SYSTEMS = ("stress_cases", "published", "published_numbers")
 
 
@@ -147,12 +147,12 @@ def extensions() -> Mapping[str, Extension]:
 
 
 def not_loaded() -> str:
-    """Return the end of a message about an unknown name, which lists the extensions that cannot be loaded."""
+    """Return the end of a message about an unknown name. The text lists the extensions that cannot be loaded."""
     return "".join(f"; the extension {name} cannot be loaded ({why})" for name, why in _found()[1].items())
 
 
 def available_text(value: object, names: Collection[str]) -> str:
-    """Return the end of a message about an unknown name, which lists the names and the extensions that cannot be loaded."""
+    """Return the end of a message about an unknown name. The text lists the allowed `names`, then the extensions that cannot be loaded."""
     return f"{allowed_text(value, names)}{not_loaded()}"
 
 

@@ -45,7 +45,7 @@ def boundary(
     select: Mapping[str, float],
     degrees: bool = False,
 ) -> xr.Dataset:
-    """Return the borders of theory or, if a label is given, the border of the region with this flag; see `Atlas.boundary`."""
+    """Return the lines that theory predicts or, if a label is given, the border of the region with this flag; see `Atlas.boundary`."""
     system_of(ds)
     plane, dims, panel_dims = plane_of(ds, x, y, select, degrees=degrees)
     if panel_dims or (label is not None and len(dims) != 2):
@@ -98,7 +98,7 @@ def boundary(
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
-    """Return the borders of theory on a plane of an atlas, by kind. Raise BadInput if `dims` are not axes of the scene."""
+    """Return the lines, by kind, that theory predicts on a plane of an atlas. Raise BadInput if `dims` are not axes of the scene."""
     for dim in dims:
         if dim not in axes_of(scene):
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
@@ -124,7 +124,8 @@ def borders(plane: Plane, variable: str = "label") -> Lines:
 class Kind(NamedTuple):
     """A kind of border."""
 
-    # Classes of points, from predictions, a frame and whether motions are nudged. Lines separate class 1 from 2. Class 0 has no lines.
+    # The function takes predictions, a frame and whether motions are nudged, and returns the class of each point. Lines separate
+    # class 1 from class 2, and points of class 0 have no lines.
     classes: Callable[[Predictions, str, bool], np.ndarray]
     of_frame: bool = True  # whether the line depends on the frame
     rate: str = ""  # the rate that is 0 on the line, "n" or "m"
@@ -136,7 +137,7 @@ def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
 
 
 def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
-    """Return classes by the sign of a rate. The class is 0 without regular precession, and for unstable motions with a nudge."""
+    """Return class 1 for a negative rate, else 2. Nudged unstable motions, and motions other than regular precession, have class 0."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 
@@ -165,7 +166,7 @@ def theory_borders(plane: Plane) -> Lines:
         name + frame: (kind, frame)
         for name, kind in KINDS.items()
         for frame in frames[: 1 + kind.of_frame]
-        if kind.rate not in plane.extent  # a rate that is an axis needs no line at 0
+        if kind.rate not in plane.extent  # the line of rate 0 is trivial if the rate is an axis
     }
 
     def classes(positions: Array) -> Classes:
@@ -190,7 +191,7 @@ RESONANCE_SAMPLES = 200  # number of samples along each axis
 
 
 def resonances(plane: Plane) -> Lines:
-    """Return the lines of RESONANCES, as far as motions exist there and are not unstable."""
+    """Return the parts of the lines of RESONANCES on which motions exist and are not unstable."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     return resonance_lines(plane, axes, coordinates, not_unstable(plane, coordinates))
 

@@ -30,7 +30,7 @@ from .metadata import (
 # A point counts as near the analytical boundary within this fraction of the axis range. Near the boundary growth is slow, and stable
 # motions have large amplitudes.
 BAND = 0.02
-# An unstable motion may read as steady up to this product of growth_rate and duration. With a nudge of 1e-4 and a tolerance of 1e-3
+# An unstable motion may be labelled steady up to this product of growth_rate and duration. With a nudge of 1e-4 and a tolerance of 1e-3
 # a motion may stay within the tolerance while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
 # Variations of the rates, the largest of which is the unsteadiness of a point.
@@ -102,7 +102,7 @@ def confusion(
 
 
 def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
-    """Return lines that count stable points that drift and unstable points that survive, in total and away from the boundary."""
+    """Return lines that count stable points that drift and unstable points that stay steady, in total and away from the boundary."""
     label, stable = ds["label"].values, ds["stable"].values
     log_growth = ds["growth_rate"].values * ds["end_time"].values
     near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
@@ -166,7 +166,7 @@ def _proof_lines(ds: xr.Dataset, worst: int) -> list[str]:
 
 
 def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
-    """Whether stability changes in a box about each point. The box reaches BAND of the axis range along each of `axes`."""
+    """Whether stability changes in a box around each point. Along `axes` the box extends by BAND times the axis range to either side."""
     reach = [max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 0 for count in stable.shape]
     window = [1 + 2 * n * (axis in axes) for axis, n in enumerate(reach)]
     return grid.near_change(stable, window)
@@ -175,8 +175,8 @@ def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
 def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     """Return lines on the `count` clearest disagreements.
 
-    Strong drift is clear where theory predicts none, and weak drift is clear where theory predicts drift. Without measured rates,
-    the first disagreements are listed.
+    If theory predicts a steady motion, the disagreement is clearest where the drift is strongest. If theory predicts drift, the
+    disagreement is clearest where the drift is weakest. Without measured rates, the first disagreements are listed.
     """
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:

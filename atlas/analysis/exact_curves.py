@@ -17,7 +17,7 @@ from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
 # Curves are traced on TRACING_SAMPLES samples along each axis. TRISECTIONS trisections find a vertex between two samples.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
-# A condition that holds at more than this fraction of the samples holds in a region, where its sign is only rounding.
+# A condition that holds at more than this fraction of the samples holds in a region and gives no curve.
 REGION = 0.1
 
 
@@ -85,7 +85,7 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
 def _zero_lines(
     plane: Plane, family: Family, axes: list[Array], column: Array, function: Callable[[Any], Array]
 ) -> list[Array]:
-    """Return the zero lines of `function`, whose values at samples are `column`, cut to the parts on which the family exists."""
+    """Return the lines on which `function` is zero and the family exists. `column` contains the values of `function` at the samples."""
 
     def base(places: Array) -> Mapping[str, Array]:
         return plane.points(dict(zip(plane.extent, places.T, strict=True))).base

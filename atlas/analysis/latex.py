@@ -1,4 +1,4 @@
-"""Names that LaTeX knows, and the escape of plain text."""
+"""Greek letters and functions that LaTeX knows by name, and a function that escapes the special characters of a text."""
 
 from __future__ import annotations
 

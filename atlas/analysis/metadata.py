@@ -28,11 +28,11 @@ from ..variables import POINT, data_variables, proofs_of_labels
 
 MAX_FLAGS = 128  # largest number of flags of a variable, because int8 has the numbers 0 to 127
 TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
-# Part of the CF attribute cell_methods with names of dimensions and a method, such as mean, whose results are not flags.
+# Dimensions and a method, such as "time: mean", in the CF attribute cell_methods. Results of the listed methods are not flags.
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
-# Attribute of a variable that holds positions in a list. It has the flag name of -1 and the stem of the other flag names.
+# Attribute of variables that hold positions in a list. The text "not_settled equilibrium" calls -1 not_settled and 0 equilibrium_0.
 POSITIONS = "atlas_positions"
 
 
@@ -94,7 +94,7 @@ def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
 
 # Coordinates are equal within the relative difference COORDINATE_ROUNDING, or within SPACINGS machine epsilons of their type.
 COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
-MAX_COMPARED = 400  # number of points at which coordinates are compared
+MAX_COMPARED = 400  # about the largest number of points at which coordinates are compared with the scene
 CHANGED = (
     "the datasets of several scenes were joined, or coordinates were changed; use an atlas as its run made it"
 )
@@ -103,15 +103,15 @@ CHANGED = (
 def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
     """Return the scene from which a part of an atlas can be computed again, or None for points without a scene.
 
-    Raise BadInput if a coordinate differs from the scene by more than rounding. Evenly chosen points are compared, and only
-    corners and middles of a lazy part. An axis may lack values of the scene. An axis with values that the scene lacks, as after a
-    join of atlases that differ only in this axis, must have all values of the scene.
+    Raise BadInput if a coordinate differs from the scene by more than rounding. Evenly chosen points are compared. If
+    coordinates are lazy, only the first, middle and last values of axes are compared. An axis may lack values of the scene. If an
+    axis has values that the scene lacks, as after a join of atlases, the axis must also have all values of the scene.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
     units = {name: parameter.unit for name, parameter in system.parameters.items()}
     units |= {dim: axis.units or units.get(axis.name, "1") for dim, axis in axes.items()}
-    # Variables are compared, because making DataArrays with coordinates would take longer than the comparison.
+    # `ds.variables` is read instead of `ds`, because making DataArrays with coordinates takes longer than the comparison.
     numbers = {n: v for n in units if n in ds.coords and (v := ds.variables[n]).dtype.kind in "iuf"}
     for name, variable in numbers.items():
         unit = attribute_text(variable.attrs, "units")
@@ -160,7 +160,7 @@ def axis_values(here: np.ndarray, axis: Axis) -> Array:
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether coordinates equal the scene's values `own` within 1e-15 plus the larger of COORDINATE_ROUNDING and SPACINGS epsilons."""
+    """Whether |here - own| is at most 1e-15 + r |own|, where r is the larger of COORDINATE_ROUNDING and SPACINGS machine epsilons."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
@@ -242,14 +242,14 @@ def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
 
 @lru_cache
 def _registry(system: System) -> Mapping[str, Variable]:
-    """Return the variables of the atlases of a system, or nothing if the system can have no atlas."""
+    """Return the variables of the atlases of a system, or no variables if the system can have no atlas."""
     with suppress(BadInput):
         return data_variables(system)
     return {}
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """Return the flag name of -1 and the stem of the other flag names for positions in a list, or None for other variables."""
+    """If a variable holds positions in a list, return the flag name of -1 and the stem of the other flag names, else None."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -274,7 +274,7 @@ def has_flags(array: xr.DataArray) -> bool:
 
 
 def flag_names(array: xr.DataArray) -> list[str]:
-    """Return the names of the values 0, 1, 2, ... of a flag variable, or no names for others. Raise BadInput for averages of flags."""
+    """Return the names of the flags 0, 1, 2, ..., or an empty list if the variable has no flags. Raise BadInput for averages of flags."""
     if array.dtype.kind == "b":
         return TRUE_FALSE
     if not has_flags(array):

@@ -120,7 +120,7 @@ class Plane:
         return grid.points_at(scene, {axes[dim].name: column for dim, column in values.items()})
 
     def theory(self, coordinates: Mapping[str, Array]) -> Predictions:
-        """Return the predictions for exact motions in the plane. Where no motion exists, only `exists` has a meaning."""
+        """Return the predictions for exact motions at points of the plane. Where no motion exists, only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
             predicted = predict(system, points.base, Tolerances(ZERO_RATE, ZERO_RATE), rough=True)

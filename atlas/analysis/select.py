@@ -226,7 +226,7 @@ def plane_of(
 def nearest_trajectory(
     ds: xr.Dataset, coordinates: Mapping[str, float], samples: int, degrees: bool = False
 ) -> xr.Dataset:
-    """Return the motion, in rad, of the point nearest to given values, integrated as in the atlas."""
+    """Return the motion of the point nearest to given values, with angles in rad. The motion is integrated as in the atlas."""
     from ..label.plan import Plan
     from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 

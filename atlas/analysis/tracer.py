@@ -69,14 +69,14 @@ DIVISION, LEVELS = 3, 2
 # If the first samples take more seconds than this, tracing takes more than two seconds and is announced.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
-# Number of trisections by which a vertex is found on two axes (to about 1e-5 of each axis) and on one axis.
+# A vertex is found by TRISECTIONS steps on two axes (to about 1e-5 of each axis), and by LINE_TRISECTIONS steps on a single axis.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
 # A line is first cut into stretches of about STRETCH vertices. A stretch within FLATNESS cells of its chord is straight.
 STRETCH, FLATNESS = 16, 0.05
 
-# The class of a point is 1 or 2 on the two sides of a line, and 0 where there is no line.
+# Kind of line -> class of each point. The class is 1 or 2 on the two sides of a line, and 0 at points without such lines.
 Classes = Mapping[str, Flags]
-Codes = NDArray[np.int64]  # one number for the classes of all kinds at a point
+Codes = NDArray[np.int64]  # for each point, one number that encodes the classes for all kinds of line
 
 
 def class_borders(
@@ -88,8 +88,8 @@ def class_borders(
     sign on the lines of a kind, `zeros` has the magnitude of the quantity as a function of positions. Parts of lines on which the
     quantity has a pole instead of a zero are removed.
 
-    On two axes, cells that a line crosses are refined, and the line is followed into neighbouring cells. If a region wider than
-    1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis contains one sample, the region is thus followed to its ends.
+    On two axes, cells that a line crosses are refined, and the line is followed into neighbouring cells. A region wider than
+    1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is thus followed to its ends if the region contains at least one sample.
     """
     if len(plane.extent) == 1:
         samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
@@ -242,7 +242,7 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
         line = np.insert(line, i + 1, crossing, axis=0)
     shown = np.all((line >= low) & (line <= high), axis=1)
     parts = shown_parts(line, shown)
-    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line from inside the box
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that starts inside
         parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
     return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
 

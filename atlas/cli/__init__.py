@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def command() -> NoReturn:
     """Run the command of this process, or complete it for the shell."""
     if "_ARGCOMPLETE" in os.environ:
-        import argcomplete  # is installed if the shell asks for completions
+        import argcomplete  # without argcomplete the shell asks for no completions
 
         argcomplete.autocomplete(parser())
     start_deadline()

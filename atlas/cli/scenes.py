@@ -301,6 +301,6 @@ def copy_example(options: argparse.Namespace) -> None:
 
 
 def figure_options(scene: str) -> str:
-    """Return the options of `atlas map` in the comment "Figure: --option" of an example, with a leading blank."""
+    """Return the options of `atlas map` in an example's comment "Figure: --option". The text begins with a blank, or is empty."""
     match = re.search(r"^# Figure:((?: --[\w-]+)+)", scene, re.MULTILINE)
     return match[1] if match else ""

@@ -43,7 +43,7 @@ class FastSpin:
     A: Any  # equal to B, kg m2; every field is kept as an array
     C: Any  # kg m2
     weight: Any  # Mg z0, N m
-    N: Any  # s-2
+    N: Any  # gradient of the Newtonian field, s-2
     l1: Any  # N m s
     l2: Any
     l3: Any
@@ -80,7 +80,7 @@ class FastSpin:
         self.forced = np.where(self.mu == 0, 0.0, self.mu / np.where(self.Omega == 0, 1.0, self.Omega))
         self.G0 = self.z / self.a - self.k * self.A1
         self.chi1, self.nu = -self.G0 / (1 + self.Omega), 1 / (1 + self.Omega)
-        self.M3 = np.sqrt(1 - self.gamma0**2) / self.gamma0  # tan theta0, (30)
+        self.M3 = np.sqrt(1 - self.gamma0**2) / self.gamma0  # tan theta0 of equation (30)
 
     def of_shape(self, shape: tuple[int, ...]) -> FastSpin:
         """Return the body with all fields broadcast to one shape."""
@@ -135,7 +135,7 @@ def rate_of(spin: FastSpin) -> Callable[[float, Array], Array]:
 
 
 def integrals(spin: FastSpin, y: Array) -> Array:
-    """Return the first integrals from which (2) and (3) follow. They are energy, area and |gamma|^2, shape (3, ...)."""
+    """Return the first integrals from which (2) and (3) follow. They are the energy, the area integral and |gamma|^2, shape (3, ...)."""
     p, q, r, g1, g2, g3 = y
     y1, y2, y3 = spin.y
     transverse = g1**2 + g2**2
@@ -146,7 +146,7 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 
 def p2_gamma2(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """Return p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0. If y is dy/dtau, return p2' and gamma2'."""
+    """Return p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2 by (10) with chi = 0. Given dy/dtau as `y`, return p2' and gamma2'."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
@@ -193,7 +193,7 @@ def first_order(spin: FastSpin, tau: Array) -> Array:
 
 
 def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
-    """Return y from any start with r1 = g1'' = 1, to first order in eps, for tau of order 1; (6, ...).
+    """Return y, (6, ...), from any start y0 with r1 = g1'' = 1. The result is correct to first order in eps if tau is of order 1.
 
     The solution is w = mu/Omega + W exp(i Omega tau) + eps chi1 M exp(-i tau), G = M exp(-i tau) + eps (mu/Omega + nu W
     exp(i Omega tau)). W and M follow from the start.
@@ -315,7 +315,7 @@ def true_acceleration(spin: FastSpin, y: Array) -> Array:
 SAMPLES = 201  # number of instants of a run at which errors are computed
 # Number of points that are integrated together. More points share the overhead of a step, but need more memory.
 CHUNK = 512
-# Largest number of evaluations of the equations for a chunk. A run of MAX_RADIANS needs less than half of this number.
+# Largest number of evaluations of the equations for a chunk of points. Runs as long as MAX_RADIANS need less than half as many.
 MAX_EVALUATIONS = 200_000
 
 
@@ -329,12 +329,12 @@ def errors(
     solution: Callable[[FastSpin, Array], Array],
     pause: Callable[[], None] = lambda: None,
 ) -> tuple[Array, Array]:
-    """Return the largest errors in a run of `solution`, a function of body and tau that returns y.
+    """Return the largest errors of gamma and of p + i q in a run. `solution` returns the states y of a body at times tau.
 
-    The errors are those of gamma (in rad if small) and of p + i q relative to its maximum. They are nan where the run is longer than
-    MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from the initial value of the solution, with
-    r0 and gamma0'' of the point, so that errors are due to the formula. DOP853 takes about 0.1 ms per point and turn. The points
-    of a chunk share their steps, so that the digits of an error near 1e-12 depend on the other points.
+    An error of gamma is the length of a vector difference, in rad if small. An error of p + i q is divided by the largest |p + i q|.
+    Errors are nan where the run is longer than MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from
+    the initial value of the solution, with r0 and gamma0'' of the point, so that errors are due to the formula. DOP853 takes about
+    0.1 ms per point and turn. Points of a chunk share steps, so that digits of an error near 1e-12 depend on the other points.
     """
     angle, rate = np.full(duration.shape, np.nan), np.full(duration.shape, np.nan)
     with np.errstate(all="ignore"):
@@ -359,7 +359,7 @@ def errors(
 
 
 def radians(points: Points, duration: Array) -> Array:
-    """Return the bound of the fastest frequency times the duration, (points,), to which the cost of a run is proportional."""
+    """Return the duration times a bound of the fastest frequency, rad, (points,). The cost of a run is proportional to this product."""
     with np.errstate(all="ignore"):
         return np.asarray(initial.frequency_bound(points) * duration)
 

@@ -1,4 +1,4 @@
-"""Exact periodic solutions of (1) at any eps, by shooting, and their Floquet multipliers.
+"""Exact periodic solutions of the paper's equations (1) at any eps, by shooting, with Floquet multipliers. Letters are as in `fast_spin`.
 
 A solution of (1) whose gamma returns after about one turn is fixed by r1 = g1'' = 1 and the phase gamma2' = 0 at tau = 0, as in
 (22). The unknowns are eps p1, eps q1, the angle of g1 + i g1' and the period. Four of the six multipliers are 1, because of the
@@ -23,12 +23,12 @@ from ...kernel.tableaux import RK8
 from ...systems.base import Array, Flags, Mask, Points
 from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 
-STEPS = 24  # number of steps of rk8 in a period, along the path of solutions
-FINE = 48  # number of steps in a period at the end of the path, where errors are of the size of rounding
+STEPS = 24  # number of steps of rk8 in a period while `follow` raises the field
+FINE = 48  # number of steps in a period of final solutions, which makes errors of rk8 as small as rounding errors
 # Largest allowed correction of each unknown. A larger correction may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
-LEAST_STEP = 0.005  # shortest step as a fraction of the field; a path that needs a shorter step has a fold
-DEFECT = 1e-5  # a step of the path fails if the defect before the last correction is larger
+LEAST_STEP = 0.005  # shortest step of `follow`, as a fraction of the full field; a path that needs a shorter step has a fold
+DEFECT = 1e-5  # a step of `follow` fails if the defect before the last correction is larger
 MARGIN = 1e-7  # distance of |trace| from 2 within which rounding decides on stability
 
 
@@ -37,7 +37,7 @@ class Periodic(NamedTuple):
 
     start: Array  # y at tau = 0, (6, points)
     period: Array  # in tau, (points,)
-    trace: Array  # rho + 1/rho, (points,)
+    trace: Array  # sum of the two multipliers that may differ from 1, (points,)
 
     @property
     def stability(self) -> Flags:
@@ -70,7 +70,6 @@ def flow(spin: FastSpin, y: Array, directions: Array, period: Array, steps: int)
 
 
 def _sum(weights: tuple[float, ...], slopes: list[Array]) -> Array | float:
-    """Weighted sum of the slopes of stages."""
     return sum(a * slope for a, slope in zip(weights, slopes, strict=True) if a)
 
 
@@ -148,7 +147,7 @@ def solutions(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> Perio
 
 
 def of_points(points: Points, pause: Callable[[], None]) -> tuple[Flags, Array, Array]:
-    """Return values of PeriodicSolution, periods in time units and traces, each of shape (points,)."""
+    """Return values of PeriodicSolution, periods in time units, and traces, each (points,). A trace is a sum of two Floquet multipliers."""
     columns = []
     for first in range(0, points["A"].size, CHUNK):
         spin = fast_spin({name: values[first : first + CHUNK] for name, values in points.items()})

@@ -42,7 +42,7 @@ def formulas(values: Values, *names: str) -> Array:
 
 @lru_cache(maxsize=8)  # coefficients are needed at every step of an integration
 def coefficients(spin: FastSpin) -> Values:
-    """Return the numbers of a body with chi, chi1, nu of (10) and X, chi2, nu2 of (11). Raise BadInput where a formula divides by zero."""
+    """Return `numbers`, chi, chi1, nu of (10) and X, chi2, nu2 of (11) for a body. Raise BadInput where a formula divides by zero."""
     values = numbers(spin)
     if np.any(spin.A1 == 0):
         raise BadInput("A1 = 0 (A = C): X of (11) divides by A1")
@@ -59,7 +59,7 @@ def rhs(spin: FastSpin, y: Array) -> Array:
 
 
 def integrals(spin: FastSpin, y: Array) -> Array:
-    """Return the constants of the motion from (2) with (3). They are energy, area and |gamma|^2, shape (3, ...)."""
+    """Return the constants of the motion from (2) with (3). They are the energy, the area integral and |gamma|^2, shape (3, ...)."""
     return formulas(numbers(spin) | state(y), "energy", "area", "length")
 
 
@@ -84,7 +84,7 @@ def first_order(spin: FastSpin, tau: Array) -> Array:
 
 
 def to_quasilinear(spin: FastSpin, y: Array) -> Array:
-    """Return (p2, gamma2) for y from (10), shape (2, ...)."""
+    """Return (p2, gamma2), shape (2, ...), of the state y by equations (10)."""
     return formulas(coefficients(spin) | state(y), "p2", "gamma2")
 
 
@@ -109,7 +109,7 @@ def check(points: Points, duration: Array) -> None:
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
-    """Return alpha for one turn by the full equations, from the mean rate of the phase of g1 + i g1' over whole turns."""
+    """Return the correction alpha of (33) to the period of one turn. The full equations give alpha by the mean phase rate of g1 + i g1'."""
     tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
     y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
     rate = fast_spin.rhs(spin, y)

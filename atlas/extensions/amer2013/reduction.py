@@ -1,9 +1,9 @@
-"""Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
+"""Tests of equations of Amer, Abo Essa, Ibrahim & Amer. Each equation of equations.toml has a printed and a true reading.
 
-Each row tests one equation in two readings. In both readings k, the frequency, chi, chi1, nu and X have their true values
-(X = 1 / Omega, chi = 0), and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from the corrected (3). S11 to S22 are from
-the corrected (13) without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the difference of the
-readings, or to the exact value if the readings are equal. The true reading of an expansion in eps has a residual of order eps.
+Both readings have the true values of k, the frequency Omega, chi, chi1, nu and X, such as chi = 0 and X = 1 / Omega. In both readings
+C A^-1 y2 replaces A^-1 y2. S1 and S2 follow from (2), or from the corrected (3). S11 to S22 follow from the corrected (13).
+Terms in l2 / (A r0) of (13) are left out, because these terms are of higher order in eps. A residual is divided by the difference of
+the readings, or by the exact value if the readings are equal. The true reading of an expansion in eps has a residual of order eps.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
 
 
 def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
-    """Return a random start with r1 = g1'' = 1, and a random state of the same energy and area by (2) and the corrected (3)."""
+    """Return two random states with the same energy and area integral by (2) and the corrected (3). The first state has r1 = g3 = 1."""
     y0, y = rng.normal(size=(2, 6))
     y0[[2, 5]] = y[[2, 5]] = 1.0
     for _ in range(60):  # each step is a contraction by a factor of order eps
@@ -132,7 +132,7 @@ def variables(x0: Array, x: Array) -> Values:
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
-    """Return two random states of one motion, the second with S1 and S2."""
+    """Return the values of two random states of one motion. S1 and S2 belong to the second state."""
     spin = random_spin(rng, r0=entry.get("r0", 1e4))
     y0, y = random_states(rng, spin)
     x0, x = (fast_spin.to_quasilinear(spin, each) for each in (y0, y))
@@ -167,7 +167,7 @@ def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
-    """Return two random states, and the exact p2'' and gamma2'' at eight values of eps, for series in eps. k and the rotor are fixed."""
+    """Return two random states, and the exact p2'' and gamma2'' at eight values of eps. k and the rotor do not vary with eps."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
     C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
     spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)
@@ -207,7 +207,7 @@ def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     if "order" in entry:  # a coefficient of the series in eps
         powers = np.vander(values["eps"], increasing=True)
         results = [np.linalg.solve(powers, each + 0 * values["eps"])[entry["order"]] for each in results]
-    elif "mean" in entry:  # the mean over all phases
+    elif "mean" in entry:  # the mean of each result over all phases
         results = [np.mean(each) for each in results]
     exact, printed, true = results
     size = np.abs(printed - true).max() if "terms_printed" in entry else max(np.abs(exact).max(), 1e-3)

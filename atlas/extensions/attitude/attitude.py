@@ -1,4 +1,4 @@
-"""Points from inertia tensors, attitudes and angular velocities, and attitudes along motions."""
+"""Moments and start values of bodies from inertia tensors, attitudes and angular velocities. Attitudes along motions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ORBITAL = "orbital"
 LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # x, y, z are velocity, -normal, nadir
 # Rotation from each frame of a satellite to the orbital axes (radius, velocity and orbit normal), at the start.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
-# Tolerated relative differences of mirrored elements of a tensor, of equal moments and of equal components of axes.
+# Relative differences up to which mirrored elements of a tensor, two moments, and two components of axes count as equal.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9
 ROUNDING = 1e-14  # relative rounding error of an angular velocity
 NO_ROTATION = 1e-6  # products of the rows of a rotation matrix may differ from 0 and 1 by this
@@ -76,17 +76,16 @@ def principal(tensor: ArrayLike, order: str = "nearest") -> tuple[dict[str, Any]
 
 
 def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
-    """Raise BadInput with the values at the first bad tensor."""
     for k in np.flatnonzero(bad)[:1]:
         place = f"point {k} (counted from 0): " if many else ""
         raise BadInput(f"{place}tensor: {text.format(*(f'{value[k]:g}' for value in values))}")
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Return moments (points, 3) and axes as rows (points, 3, 3). Signs, and order if `nearest`, minimise the turn from the given axes."""
+    """Return moments, and axes as rows (points, 3, 3). The signs, and the order if `nearest`, minimise the turn from the given axes."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
-    # The largest component (the first of equal ones) is made positive, so that the signs of the solver do not matter.
+    # The largest component of each axis (the first of equal ones) is made positive, so that the signs from the solver do not matter.
     main = (np.abs(rows) >= np.abs(rows).max(2, keepdims=True) - TIE).argmax(2)
     rows = rows * np.sign(np.take_along_axis(rows, main[..., None], 2))
     orders = np.array([*permutations(range(3))] if nearest else [range(3)])
@@ -101,7 +100,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
 
     equal = np.diff(moments) <= EQUAL * np.abs(moments[:, 2:])
     k = np.flatnonzero(equal[:, 0] != equal[:, 1])
-    if k.size:  # take the smallest rotation to the axis of symmetry
+    if k.size:  # if two moments are equal, the smallest rotation takes a given axis to the axis of symmetry
         single = np.where(equal[k, 0], 2, 0)
         axis = main[k, single] if nearest else single
         given, symmetry = np.eye(3)[axis], rows[k, single]
@@ -188,7 +187,7 @@ def start(
 
 
 def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Array, ...]:
-    """Return the values of STARTS. `attitude` and `rates` are those of the principal axes, and `turning` is the rate of the frame."""
+    """Return the values of STARTS from attitude and rates of the principal axes. The rates include the rate `turning` of the frame."""
     x, y, z, s = np.moveaxis(attitude.as_quat(), -1, 0)
     theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, s))
     total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi and psi - phi

@@ -22,9 +22,9 @@ ENERGY_ROUNDING = 1e-14  # relative error of the energy
 LARGEST_ERROR = 0.01
 LEVELS = 6  # number of minima, counted from the lowest, for which a time of settling is measured
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
-LEVEL = "ends:level"  # measurement of the energy below which the body is settled at its equilibrium
-START = "ends:start"  # measurement of the energy at the start plus a margin
-LEAST = "ends:least"  # measurement of the lowest potential among equilibria that are no minima
+LEVEL = "ends:level"  # key of the energy below which the body counts as settled at its equilibrium
+START = "ends:start"  # key of the energy at the start, increased by a margin for errors
+LEAST = "ends:least"  # key of the lowest potential among equilibria that are no minima
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled or undecided;"
     " positions of different bodies cannot be compared"
@@ -46,7 +46,7 @@ _ROWS = (
 
 @dataclass(frozen=True)
 class Ends(Instrument):
-    """The equilibrium in which a damped gyrostat ends, as it follows from the last state and the energy."""
+    """The equilibrium in which a damped gyrostat ends, found from the last state and the energy in this state."""
 
     needs_whole_run = True
 
@@ -101,13 +101,13 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Return which points have an end. Proved ends count only if the energy at the start is not below LEAST."""
+        """Return which points have an end that is not certain. A proved end is certain if the energy at the start is below all saddles."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided
 
     def undecided(self, run: Run) -> Mask:
-        """Return at which points an error at the start that is as large as the tolerance may change the end.
+        """Return a mask of the points whose ends may change if the starts have errors as large as the tolerance.
 
         A proved end is certain if the motion starts below the rim of its well, because the motion then never leaves the well.
         """

@@ -24,17 +24,17 @@ def basin_fractions(
     ds : Dataset
         The atlas. `ds.atlas.basin_fractions` passes its dataset.
     over : str or sequence of str, optional
-        The axes of starts, by default all axes. Points of a list lie along "point".
+        The axes of starts, by default all axes. The axis of an atlas of listed points is "point".
     variable : str
         "end_equilibrium", or "end" of the result of `ends`.
 
     Returns
     -------
     Dataset
-        `fraction` and its limits `lower` and `upper`, see `probability`, over the other axes and the variable. Along the
-        variable, -1 means no end, and other values are positions in `atlas.equilibria` or along `which` of `ends`. For
-        equilibria, `undecided` is the fraction of starts whose end could change by an error as large as the tolerance, or nan in
-        atlases without this check.
+        `fraction`, with the limits `lower` and `upper` as in `probability`. The dimensions are the axes that are not in `over`,
+        and the variable. Along the variable, -1 means no end, and other values are positions in `atlas.equilibria` or along
+        `which` of `ends`. For equilibria, `undecided` is the fraction of starts whose end an error as large as the tolerance
+        could change. In atlases without this check `undecided` is nan.
 
     Raises
     ------

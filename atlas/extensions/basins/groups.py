@@ -16,7 +16,7 @@ from ...scene.checks import positive, texts
 from ...store.dataset import TRANSIENT, log_warnings
 from ...systems.base import Array
 
-CELLS = 4  # number of cells per tolerance in each feature; only one motion of each cell is compared
+CELLS = 4  # number of cells in one tolerance along each feature; one motion of a cell stands for all motions in the cell
 
 
 def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mapping[str, float]) -> xr.Dataset:
@@ -27,7 +27,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     ds : Dataset
         An atlas with a transient. `ds.atlas.ends` passes its dataset.
     features : str or sequence of str
-        Measured variables that tell the ends apart. Extremes do not depend on the phase of a cycle, means do.
+        Measured variables that tell the ends apart. Extremes do not depend on the phase of a cycle, but means do.
     tolerance : float or mapping of str to float
         Largest difference of motions with the same end, for every feature or by name.
 
@@ -36,8 +36,8 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     Dataset
         `end`, int16, over the dimensions of the atlas, is the position along `which`, or -1 where the status is not ok or no
         other motion has the same end. Two motions have the same end if they differ by at most the tolerance, or if a chain of motions
-        with such differences joins them. The limit is accurate to a quarter of the tolerance. The ends along `which`, sorted by
-        the first feature, have the number `count` of motions, the median of each feature, and `spread`, which is the largest
+        with such differences joins them. The comparison is accurate to a quarter of the tolerance. The ends along `which`, sorted
+        by the first feature, have the number `count` of motions, the median of each feature, and `spread`, which is the largest
         difference divided by the tolerance. A warning names chains, whose spread is above 1.
 
     Raises
@@ -89,7 +89,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
 
 
 def groups(values: Array) -> NDArray[np.int64]:
-    """Return the group number of each row. Rows that are joined by steps of at most 1 +- 1 / CELLS in every column are one group."""
+    """Return the group number of each row. Steps of at most 1 in every column join rows to groups. The limit 1 is accurate to 1 / CELLS."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree

@@ -39,14 +39,14 @@ class Wells:
 
     body: Body
     rate: Array  # unit of rates, the frame's rate or else the natural rate, (bodies,)
-    single: bool  # whether gamma is the only direction of the frame; attitudes may then turn about gamma
+    single: bool  # whether gamma is the only direction of the frame; attitudes that differ by a turn about gamma are then equal
     frames: Array  # rows alpha, beta and gamma in body axes, (bodies, places, 3, 3); if `single`, rows alpha and beta are 0
-    axis: Array  # body axis about which turns lead along a circle of equilibria, nan elsewhere, (bodies, places, 3)
-    angles: dict[str, Array]  # nan where the members of a circle differ
+    axis: Array  # axis of the turns along a circle of equilibria, in body axes, nan for a single equilibrium, (bodies, places, 3)
+    angles: dict[str, Array]  # Euler angles by name, nan where an angle varies along a circle of equilibria
     potential: Array
     index: Array  # Morse index
     minimum: Mask
-    downhill: Array  # axis about which W falls most, (bodies, places, 3)
+    downhill: Array  # axis of the turn that lowers W most, (bodies, places, 3)
     settled: Array  # energy below which attitude and rates stay within SETTLED of a minimum
     listed: Mask  # whether all equilibria are known and their indices are certain, (bodies,)
     rim: Array  # energies of the rims of wells, nan until they are computed
@@ -64,7 +64,8 @@ class Wells:
             part = slice(first, first + _BLOCK)
             own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
             trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
-            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # the nearest member of each circle is compared
+            # The angle to a circle of equilibria is the angle to the nearest equilibrium of the circle.
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))
             s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
             along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
             across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))
@@ -99,10 +100,9 @@ class Wells:
         return place
 
     def find_rims(self, bodies: Places) -> None:
-        """Compute the rims of the wells of some bodies.
+        """Compute the rims of wells. A rim is the lowest potential of equilibria from which descent of W reaches the minimum of the well.
 
-        An equilibrium counts for every rim if descent from there reaches no other equilibrium. An equilibrium counts for no rim if
-        descent reaches a saddle, because the saddle is lower and in the same component of the region of smaller W.
+        If descent reaches no equilibrium, the start counts for every rim. If descent reaches a saddle, the lower saddle counts instead.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
@@ -140,7 +140,7 @@ def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
 
 @lru_cache(maxsize=1)
 def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
-    """Return the wells of bodies whose parameters, (parameters, bodies), are given by names and bytes."""
+    """Return the wells of bodies. `numbers` holds the bytes of an array (parameters, bodies), whose rows are the parameters `names`."""
     points = dict(zip(names, np.frombuffer(numbers).reshape(len(names), -1), strict=True))
     solutions = system.equilibria_of_bodies(points, stability=False)
     body, gamma, index, circle = system.body(points), *(solutions[n] for n in ("gamma", "index", "circle"))

@@ -1,8 +1,9 @@
-"""Branches of relative equilibria against a parameter, which meet at bifurcations.
+"""Branches of relative equilibria against a parameter, and the bifurcations at which branches meet.
 
 Branches are not followed one by one. `equilibria_of_bodies` lists all solutions at each value. Two solutions of neighbouring values
-match if the tangent of each predicts the other far better than any third solution. An interval in which a solution has no match, or
-changes its index, is divided until Newton's method finds each bifurcation in the interval. The equations are
+match if the tangent of each predicts the other. The errors must be far smaller than those of either solution with any third solution.
+An interval in which a solution has no match, or changes its index, is divided until Newton's method finds each bifurcation in the
+interval. The equations are
 
     gradient of W = 0,    kappa = 0,
 
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Two solutions match if the sum of their errors in predicting each other is below _CLOSE, and below _DISTINCT times the sums with others.
+# Two solutions match if the sum of their errors in predicting each other is below _CLOSE. The sum must also be below _DISTINCT times the
+# corresponding sum of each pair that contains one of the two and a third solution.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
 # Largest number of rounds in which intervals are divided, and golden ratio, which spreads the points of division.
@@ -38,11 +40,12 @@ _ROUNDS, _GOLDEN = 30, 0.618034
 _DIFFERENCE = 1e-5  # step of central differences, in rad or in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # Newton's method stops when a step is shorter than this
-_CONVERGED = 1e-9  # a value has converged if its last step is shorter than this, in units of the range
+_CONVERGED = 1e-9  # largest error of the parameter at a bifurcation, in units of the range of the parameter
 _SETTLED = 1e-6  # largest last step of Newton's method, in rad and units of the ranges; near a pitchfork a step only halves the error
 _BLOCK = 512  # number of intervals whose solutions are matched at once
 _SAME = 1e-3  # bifurcations at a smaller distance in the coordinates of `BodyFamily.place` are the same
-# A solution is degenerate below this relative eigenvalue. A fold has a greater relative derivative along the null vector.
+# A solution is degenerate if the scaled Hessian has an absolute eigenvalue below this. At a fold, a derivative of the gradient by a
+# parameter has a component along the null vector that is larger than this fraction of the derivative.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 
 
@@ -51,13 +54,13 @@ class Singular(NamedTuple):
 
     values: Array  # (N, parameters)
     frames: Array
-    null: Array  # eigenvector of the eigenvalue 0, (N, 3)
+    null: Array  # eigenvector of the Hessian for the eigenvalue 0, (N, 3)
     slopes: Array  # derivatives of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
     step: Array  # last step of Newton's method, (N, 3 + parameters)
 
     @property
     def error(self) -> Array:
-        """Error of the values in units of their ranges, infinite where Newton's method does not converge."""
+        """Error of the parameters in units of their ranges, infinite where Newton's method does not converge."""
         return np.where(length(self.step) < _SETTLED, np.abs(self.step[:, 3:]).max(-1), np.inf)
 
     @property
@@ -74,14 +77,15 @@ class BodyFamily(NamedTuple):
     """Bodies that depend on parameters."""
 
     system: Gyrostat
-    points: Callable[[Array], Points]  # parameters of bodies as a function of values (bodies, parameters)
-    limits: Array  # lowest and highest values of the parameters, (2, parameters)
+    # This function returns all parameters of bodies for given values of the varied parameters, (bodies, varied parameters).
+    points: Callable[[Array], Points]
+    limits: Array  # lowest and highest values of the varied parameters, (2, varied parameters)
     upright: bool  # whether every solution may be turned about the vertical
-    axis: int  # axis of the body about which every solution may be turned, or -1
+    axis: int  # axis of the body about which every solution may be turned, -1 if there is none
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> BodyFamily:
-        """Return the family on the range of some values, (bodies, parameters), with the symmetries that most of the bodies have."""
+        """Return the family with the symmetries of most bodies. The limits are the extremes of `values`, (bodies, varied parameters)."""
         body = body_at_rest(system, points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
         upright = 2 * body.acts_across().sum() < len(values)
@@ -154,10 +158,10 @@ class Nodes(NamedTuple):
     morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
     turn: Array  # rotation along the branch per unit of the parameter, (nodes, places, 3)
     distance: Array  # first-order change of the parameter after which solutions may merge, (nodes, places)
-    usable: Mask  # whether all solutions are listed and regular, and the sum of (-1)^index is right, (nodes,)
+    usable: Mask  # whether all solutions are listed and regular, and the sum of (-1)^index is the Euler characteristic, (nodes,)
 
 
-Solution = tuple[int, int]  # node and place
+Solution = tuple[int, int]  # index of a node, and place in the node's list of solutions
 
 
 class Bifurcation(NamedTuple):
@@ -165,7 +169,7 @@ class Bifurcation(NamedTuple):
 
     value: float
     frame: Array
-    direction: Array  # rotation vector in body axes along which the solutions separate
+    direction: Array  # axis, in body axes, of the rotation by which the solutions separate
     kind: BifurcationKind
     error: float  # error of the value, which is the last step of Newton's method or half of an interval
     solutions: list[Solution]  # one solution of each branch that meets here
@@ -203,7 +207,7 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    # With both symmetries of `family` the sum tests nothing, because circles of solutions contribute 0 and solutions with vertical axis 1.
+    # With both symmetries of `family` the sum tests nothing. Circles of solutions add 0. Solutions with a vertical symmetry axis add 1.
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
@@ -212,7 +216,7 @@ def solutions_at(
 
 
 def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Places) -> Array:
-    """Return the distances of solutions at nodes `start`, continued along tangents, from solutions at `end`, (N, places, places)."""
+    """Continue solutions along tangents from nodes `start` to `end`. Return distances to the solutions at `end`, (N, places, places)."""
     turn = nodes.turn[start] * (nodes.values[end] - nodes.values[start])[:, None, None]
     turn = turn / np.maximum(1.0, length(turn) / _MAX_TURN)[..., None]
     predicted = family.place(rotated(nodes.frames[start], turn))
@@ -232,7 +236,7 @@ def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places)
 
 
 def unambiguous_matches(errors: Array) -> Places:
-    """Return the column of the least error in each row, (N, rows), or -1 unless this error is small and far below others in row and column."""
+    """Return the column of each row's least error, (N, rows), or -1 unless this error is small and far below others in row and column."""
     choice, least = errors.argmin(2), errors.min(2)
     in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
     rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))
@@ -288,10 +292,10 @@ class Branches(NamedTuple):
     """All branches of solutions over some values of the parameter."""
 
     listed: dict[str, NDArray[Any]]  # variables of `equilibria_of_bodies` at each value
-    branch: Places  # number of the branch of each solution or -1, (values, places)
+    branch: Places  # number of the branch of each solution, -1 if there is none, (values, places)
     points: list[Bifurcation]  # bifurcations in the order of their values
     meeting: list[list[int]]  # numbers of the branches that meet at each point
-    total: int  # number of all branches, including branches that exist only between two values
+    total: int  # number of all branches, including branches that have no solution at any given value
 
 
 def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:
@@ -359,7 +363,7 @@ def links_of(pairs: Places, follower: Places) -> Places:
 
 
 def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
-    """Number the branches in the order of their lowest values. Return the branch of each solution, or -1, and the number of branches."""
+    """Number branches in the order of their lowest values. Return the branch of each solution (-1 if none) and the number of branches."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

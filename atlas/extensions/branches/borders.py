@@ -31,7 +31,7 @@ from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # squared exponents at an end of a limit of stability count as 0 below this
-# Largest rates of the parameters per arc length at a cusp. Folds go straight on, with larger rates, at circles of equilibria.
+# At a cusp the derivatives of the parameters by arc length are below this. A fold at a circle of equilibria has larger ones and no cusp.
 _TURNS = 1e-6
 
 
@@ -77,10 +77,9 @@ class Borders(NamedTuple):
     plane: Plane
     potential: Potential
     lines: list[Curve]
-    morse_index: NDArray[
-        np.int64
-    ]  # lower Morse index of the two sides of the curve, between each vertex and the next
-    changes: Array  # numbers of all and of stable solutions, on the left of the curve minus on the right, (2, vertices)
+    # The lower of the Morse indices on the two sides of a curve, for the segment after each vertex, (vertices,).
+    morse_index: NDArray[np.int64]
+    changes: Array  # change of the numbers of all and of stable solutions from the right of the curve to the left, (2, vertices)
     axis: Array  # positions along each side of the grid on which equilibria are counted
     cells: NDArray[np.int8]
 
@@ -107,7 +106,7 @@ class Borders(NamedTuple):
         lines, axis, cells = all_curves(system, potential, points, stability)
 
         def shown(at: Degenerate) -> Mask:
-            """Whether points have a possible body and, at limits of stability, imaginary exponents alone."""
+            """Whether points have a possible body and, at limits of stability, only imaginary exponents."""
             return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
         lines = without_repeats(_possible(lines, shown)) if lines else []
@@ -129,7 +128,7 @@ class Borders(NamedTuple):
         return np.stack(list(self.plane.coordinates(positions).values()), -1)
 
     def slopes(self, positions: Array, rates: Array) -> Array:
-        """Return the rates of the parameters, (N, 2), that belong to rates of the positions."""
+        """Return the derivatives of the parameters by arc length, (N, 2), where `rates` are the derivatives of the positions."""
         values = self.values(positions)
         for i, (dim, (low, high)) in enumerate(self.plane.extent.items()):
             is_log = is_logarithmic(self.plane.scene, dim, (low, high))
@@ -199,8 +198,9 @@ def borders(
     Dataset
         The dimension "vertex" lists the vertices curve by curve. Variables are both parameters; curve; kind (flags); arc, the
         length of the curve; ``tangent_<parameter>``, derivatives by arc; theta0, psi0, phi0, alpha and gamma of the solution;
-        index_below and index_above, the Morse indices on both sides (0 for a minimum); count_change, stable_change, residual and
-        condition. Indices and changes hold from the vertex to the next one. Lengths are measured in attitude (rad), parameters
+        index_below and index_above, the Morse indices on both sides (0 for a minimum); count_change and stable_change, the
+        numbers of all and of stable solutions to the left of the curve minus those to the right; residual and condition of the
+        equations. Indices and changes hold from the vertex to the next one. Lengths are measured in attitude (rad), parameters
         (in units of their ranges) and, on limits of stability, the squared double exponent (in units of a squared rate). The
         dimension "special" has parameters and angles of cusps and meetings as ``special_<name>``, special_curve and special_kind
         (flags). cells (flags), over a coarse grid with the middles ``cell_<parameter>``, states where the curves explain the
@@ -294,7 +294,6 @@ def table(ds: xr.Dataset) -> pd.DataFrame:
 
 
 def _vertices(curves: Borders) -> dict[str, np.ndarray]:
-    """Return the variables over the vertices of all borders."""
     points = Degenerate.joined([curves.potential.none(), *(line.points for line in curves.lines)])
     rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in curves.lines)])
     sizes = [len(line.tangents) for line in curves.lines]
@@ -314,7 +313,6 @@ def _vertices(curves: Borders) -> dict[str, np.ndarray]:
 
 
 def _special(curves: Borders) -> dict[str, np.ndarray]:
-    """Return the variables over the special points of all borders."""
     points, curve, kind = curves.potential.none(), [], []
     for column in (0, 1):
 
@@ -344,7 +342,6 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 
 
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
-    """Return the parameters and attitudes of points."""
     low, high = np.transpose(list(curves.plane.extent.values()))
     values = np.clip(curves.values(points.parts[4]), low, high)  # rounding may lead outside of the limits
     frames = frames_of(*curves.potential.attitudes(points.parts[0]))

@@ -61,10 +61,10 @@ def branches(
     -------
     Dataset
         Variables over "branch" and the parameter are those of `equilibria`, with nan (index -1) where a branch does not exist.
-        The index is the number of directions in which the amended potential falls at a constant rate. Along the parameter
-        are completeness (flags), equilibrium_count and index_sum, nan where they are not certain. The index_sum is the sum of
-        (-1)^index, which is 0 for a satellite without symmetry, and 2 with an axis of symmetry and for permanent rotations. The
-        dimension "fold" has the bifurcations in the order of the parameter. Its variables are ``fold_<parameter>``,
+        The index is the number of directions in which the amended potential decreases if the rate of rotation is constant. Along
+        the parameter are completeness (flags), equilibrium_count and index_sum, nan where they are not certain. The index_sum is
+        the sum of (-1)^index, which is 0 for a satellite without symmetry, and 2 with an axis of symmetry and for permanent
+        rotations. The dimension "fold" has the bifurcations in the order of the parameter. Its variables are ``fold_<parameter>``,
         fold_error, fold_kind (flags), and angles, vectors and potential with the prefix ``fold_``. The solutions separate along
         the rotation vector fold_direction. The variable fold_branch has the branches that meet.
 
@@ -90,7 +90,7 @@ def scene_of(
     axes: Mapping[str, Sequence[float]],
     ties: Mapping[str, str] | None,
 ) -> Scene:
-    """Return the scene of bodies over axes with these values."""
+    """Return the scene with the parameters `body`. For each varied parameter, `axes` has a list of values."""
     for name, values in axes.items():
         check_written(f"axes.{name}.values", values)
     table = {

@@ -23,10 +23,10 @@ _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # desired angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain, because another curve crosses
 _NONE = 1e-10  # a value counts as 0 below this fraction of the largest value
-# The bracketed secant method ends after `_ILLINOIS` steps, or when the fraction of a segment changes by less than `_NO_SHARE`.
+# The bracketed secant method ends after `_ILLINOIS` steps, or when each zero moves by less than the fraction `_NO_SHARE` of its segment.
 _ILLINOIS, _NO_SHARE = 14, 1e-15
 _ITERATIONS = 10  # number of iterations of least squares where the equations are singular
-_MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic errs by less than 1e-6
+_MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic that ends at the vertex errs by less than 1e-6
 _ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
 _SETTLED = 1e-6  # largest last step of Newton's method; its square is about the remaining error
 # The next point is sought among the _NEIGHBOURS points nearest to a vertex. These points are chosen anew after the length _LOOK.
@@ -35,18 +35,18 @@ _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exce
 # Points whose unit null vectors have a smaller scalar product are on different curves, which may be close if moments are nearly equal.
 _SAME_VECTOR = 0.3
 _BACK = 1e-6  # a curve turns between vertices with parameter rates a and b if -a.b > _BACK (a.a + b.b)
-# Limits of stability shorter than this, in units of the ranges of the parameters, are dropped. So are their vertices nearer than
-# this to other vertices or to an end, where the equations of limits are nearly singular.
+# A limit of stability that extends over less than this fraction of the range of each parameter is dropped. A vertex of a limit is dropped
+# if an end or another vertex is nearer than this. Near an end the equations of limits are nearly singular.
 _SAME_END = 2e-5
 _OBLIQUE = 0.3  # largest distance of the next point from the tangent, over its distance along the tangent
 
 
 class Piece(NamedTuple):
-    """Part of a curve between two ends. Seed i has end 2 i ahead and end 2 i + 1 behind. End -1 is a side of the box, and end -2 is lost."""
+    """Part of a curve between two ends. Each start point of the continuation has an end ahead and an end behind."""
 
     length: float
-    first: int
-    last: int
+    first: int  # number of the first end; start point i has the end 2 i ahead and the end 2 i + 1 behind
+    last: int  # number of the last end; -1 is a side of the box, and -2 means that the curve is lost
     mirrored: bool  # whether the piece leads to the mirror image of the last point
     unknowns: Array  # unknowns of the vertices, (vertices, unknowns)
     tangents: Array
@@ -137,7 +137,7 @@ def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
 
 
 def _of_place(points: Degenerate, rows: Array) -> Array:
-    """Return the components along x, position and s of the vectors `rows`, (N, unknowns)."""
+    """Return the components of the vectors `rows`, (N, unknowns), along the unknowns x, position and s."""
     return np.concatenate([rows[:, : points.potential.size], rows[:, -3:]], 1)
 
 
@@ -151,7 +151,7 @@ def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
 
 
 def _in_unknowns(points: Degenerate, rows: Array) -> Array:
-    """Return vectors (N, unknowns) with the components `rows` along x, position and s, and with 0 elsewhere."""
+    """Return vectors (N, unknowns). `rows` are the components along the unknowns x, position and s, and all other components are 0."""
     n, result = points.potential.size, np.zeros((len(rows), points.unknowns.shape[1]))
     result[:, :n], result[:, -3:] = rows[:, :n], rows[:, n:]
     return result
@@ -188,7 +188,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target on the side is met first
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target on a side of the box is met
         meets = (to_target <= 1.2 * arc) & ~leaves  # no step ends just before a target
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
@@ -258,7 +258,7 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
         same = np.cumprod(np.r_[1.0, np.where((v[1:] * v[:-1]).sum(1) < 0, -1.0, 1.0)])
         for each in (points.unknowns, tangents):
             each[:, flip.size // 2 - 1 : -3] *= same[:, None]
-        # A line of equilibria of one body is no curve.
+        # Equilibria that all belong to one body, at one position in the box, do not count as a curve.
         if len(tangents) > 1 and np.ptp(points.parts[4], axis=0).max() > _ON_CURVE:
             yield Curve(points, tangents, closed, lost or also)
 
@@ -289,7 +289,7 @@ class Segments(NamedTuple):
     vertex: NDArray[np.int64]  # number of the vertex at which the segment begins
     start: Degenerate
     end: Degenerate
-    slopes: tuple[Array, Array]  # derivatives of the unknowns by the fraction of the way, at both ends
+    slopes: tuple[Array, Array]  # derivatives of the unknowns by the fraction of the segment, at both ends
 
     @classmethod
     def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
@@ -307,7 +307,7 @@ class Segments(NamedTuple):
         return cls(number, np.concatenate(where), start, end, (size * rows[0], size * rows[1]))
 
     def cubic(self, share: Array) -> Degenerate:
-        """Return points at fractions `share` of the way, on the cubic through both ends with their tangents."""
+        """Return points of cubics at the fractions `share` of the segments. A cubic has the end points and end tangents of a segment."""
         w, (first, last) = share[:, None], self.slopes
         unknowns = (1 + 2 * w) * (1 - w) ** 2 * self.start.unknowns + w * (1 - w) ** 2 * first
         return self.start._replace(
@@ -315,7 +315,7 @@ class Segments(NamedTuple):
         )
 
     def at(self, share: Array) -> tuple[Degenerate, Array]:
-        """Return points of the curves, or of the cubics if no curve is near, at fractions `share` of the way, and unit tangents."""
+        """Return points and unit tangents at fractions `share` of the segments. Points are on curves, or on cubics if no curve is near."""
         guess, chord = self.cubic(share), self.end.place - self.start.place
         reach, directions = _ASTRAY * length(chord), self._directions(share)
         points, step, tangents, _ = guess.corrected(_in_unknowns(guess, chord), 3)
@@ -332,7 +332,7 @@ class Segments(NamedTuple):
         return points, tangents
 
     def inserted(self, lines: Sequence[Curve], share: Array) -> list[Curve]:
-        """Return the curves with one more vertex on each segment, at the fraction `share` of the way."""
+        """Return the curves with one more vertex on each segment, at the fraction `share` of the segment."""
         points, tangents = self.at(share)
         uncertain = ~(points.condition(tangents) < _SINGULAR)
         tangents[uncertain] = self._directions(share)[uncertain]
@@ -343,7 +343,7 @@ class Segments(NamedTuple):
         ]
 
     def _directions(self, share: Array) -> Array:
-        """Return the unit tangents of the cubics at fractions `share` of the way."""
+        """Return the unit tangents of the cubics at the fractions `share` of the segments."""
         w, (first, last) = share[:, None], self.slopes
         rows = 6 * w * (1 - w) * (self.end.unknowns - self.start.unknowns)
         rows += (1 - w) * (1 - 3 * w) * first + w * (3 * w - 2) * last
@@ -388,7 +388,7 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Return the curves with vertices added where limits of stability turn back. Limits of mirror images turn back at a pitchfork."""
+    """Return curves with vertices added where limits of stability turn back. At a pitchfork a limit turns back into its mirror image."""
     if not lines:
         return []
     every = Segments.of(lines)
@@ -406,7 +406,7 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
 
 
 def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
-    """Return the curves. Short limits of stability and, on long ones, vertices close to others are left out; see _SAME_END."""
+    """Return the curves without limits of stability shorter than _SAME_END. On longer limits, vertices too close to others are left out."""
     result = []
     for line in lines:
         if line.points.limit[0]:

@@ -13,7 +13,7 @@ from . import COUNTS
 
 
 def count_variables(system: System) -> dict[str, DerivedVariable]:
-    """Return numbers of relative equilibria of satellites, nan where equilibria are not isolated or numbers are not certain."""
+    """Return variables that count relative equilibria of satellites. Counts are nan where equilibria are not isolated or not certain."""
     if system.frame_rate is None:
         return {}
     from ...systems.satellite import Satellite

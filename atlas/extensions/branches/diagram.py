@@ -157,7 +157,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
     same = np.diff(ds["curve"].values) == 0
     cuts = np.flatnonzero(np.r_[True, ~same, True] | np.r_[True, np.diff(style) != 0, True])
     lines: dict[int, list[Path]] = {}
-    # Each line has the vertices of one curve in one style, and the next vertex of the curve.
+    # Each line joins successive vertices of the same style on one curve, and ends at the next vertex of this curve.
     for start, end in pairwise(cuts.tolist()):
         end -= end == len(style) or not same[end - 1]
         if end > start:

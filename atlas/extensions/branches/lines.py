@@ -44,7 +44,7 @@ of_all, of_stable, of_minima = (
 
 
 def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
-    """Return the lines, under CHANGE, between regions of a plane in which a count has different values.
+    """Return {CHANGE: lines}. The lines separate regions of a plane in which a count has different values.
 
     The lines are exact, from `Borders`, if the bodies depend smoothly on the plane. For stable equilibria this also needs two
     axes and borders that explain all counts. Other lines are traced between the points of the atlas. Regions narrower than a cell

@@ -49,7 +49,7 @@ _DISCRIMINANT_ROUNDING = 1e-13
 # of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # number of Newton steps that move a point onto a side of the box
-# x joins two (`FRAMES`) or three (`TRIADS`) vectors d_i. The product x.E_k x is d_i.d_i, which must be 1, or 2 d_i.d_j, which must be 0.
+# A vector x consists of two (`FRAMES`) or three (`TRIADS`) vectors d_i. For each matrix E here, x.E x is d_i.d_i = 1 or 2 d_i.d_j = 0.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -84,14 +84,14 @@ class BorderKind(Flag):
 
 
 class Potential(NamedTuple):
-    """Amended potentials of bodies over a box of two parameters. Positions in the box are fractions of its sides."""
+    """Amended potentials x.Q x / 2 + c.x of bodies over a box of two parameters. Positions in the box are fractions of its sides."""
 
-    terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (a, b, 6 n)
-    forms: Array  # E_k, (m, n, n)
+    terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (terms, terms, 6 n) if x has n components
+    forms: Array  # matrices E of the conditions x.E x = 1 or x.E x = 0, (conditions, n, n)
     axis: int  # axis of symmetry that all bodies have, -1 if there is none
     upright: bool  # whether nothing acts along alpha and beta
     mirrored: bool  # whether alpha -> -alpha leaves all potentials the same
-    bodies: Array  # Chebyshev coefficients of `_linear` and of its derivatives by both parameters, (a, b, 81)
+    bodies: Array  # Chebyshev coefficients of `_linear` and of its derivatives by both parameters, (terms, terms, 3 x 27)
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
@@ -124,16 +124,16 @@ class Potential(NamedTuple):
         n = terms.shape[2] // 2
         forms = {6: FRAMES, 9: TRIADS}.get(n, np.eye(n)[None])
         mirrored = n == 6 and not terms[..., n : n + 3].any()
-        bodies = bodies[: used[0] + 2, : used[1] + 2]  # I and k may have higher terms than Q and c
+        bodies = bodies[: used[0] + 2, : used[1] + 2]  # inertia and rotor may need more terms than Q and c
         return cls(_with_derivatives(terms), forms, axis, upright, mirrored, _with_derivatives(bodies))
 
     @property
     def size(self) -> int:
-        """Number n of components of x."""
+        """Number n of components of a critical point x."""
         return self.forms.shape[1]
 
     def at(self, positions: Array) -> Array:
-        """Return Q and c and their derivatives by both parameters, (3, 2, N, n)."""
+        """Return an array (3, 2, N, n). Axis 0 has the value and both derivatives. Axis 1 has Q and c of the potential x.Q x / 2 + c.x."""
         values = _values(self.terms, positions)
         return np.moveaxis(values.reshape(3, len(positions), 2, self.size), 2, 1)
 
@@ -210,7 +210,7 @@ class Potential(NamedTuple):
         return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
 
     def mirror(self) -> Array:
-        """Return the signs that alpha -> -alpha gives the unknowns of `Degenerate`, or ones unless `mirrored`."""
+        """Return the factors by which alpha -> -alpha multiplies the unknowns of `Degenerate`. All are 1 unless `mirrored`."""
         n, m = self.forms.shape[1], len(self.forms)
         signs = np.ones(n + m)
         if self.mirrored:
@@ -230,7 +230,7 @@ class Potential(NamedTuple):
         return frames[:, 0], frames[:, 2]
 
     def from_attitudes(self, alpha: Array, gamma: Array) -> Array:
-        """Return the x (..., n) of attitudes. If nothing acts across gamma, alpha has no meaning."""
+        """Return the argument x (..., n) of the potential for directions in body axes. If nothing acts across gamma, alpha is not used."""
         if self.axis < 0:
             vectors = [alpha, np.cross(gamma, alpha), gamma] if self.has_beta else [alpha, gamma]
             return gamma if self.upright else np.concatenate(vectors, -1)
@@ -240,7 +240,7 @@ class Potential(NamedTuple):
 
 
 def _with_derivatives(coefficients: Array) -> Array:
-    """Return the coefficients of Chebyshev series (a, b, k) and of their derivatives by both positions, (a, b, 3 k)."""
+    """Return the coefficients (a, b, 3 k) of k Chebyshev series with a x b terms each, and of both derivatives of these series."""
     a, b, k = coefficients.shape
     every = np.zeros((a, b, 3, k))
     every[:, :, 0] = coefficients
@@ -249,7 +249,7 @@ def _with_derivatives(coefficients: Array) -> Array:
 
 
 def _values(coefficients: Array, positions: Array) -> Array:
-    """Return values (3, N, k / 3), at N positions, of the series and derivatives in `coefficients`."""
+    """Return the values (3, N, series) of Chebyshev series and of both derivatives at N positions. See `_with_derivatives`."""
     a, b, k = coefficients.shape
     u, w = np.moveaxis(chebvander(2 * positions - 1, max(a, b) - 1), 1, 0)
     products = (u[:, :a, None] * w[:, None, :b]).reshape(-1, a * b)
@@ -279,7 +279,7 @@ def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
 
 
 def _linear(body: Body) -> Array:
-    """Return I, k, Omega (2 I - tr I), and Q and c along alpha, beta and gamma, scaled by a moment and a rate, (bodies, 27)."""
+    """Return inertia I, rotor, frame rate times (2 I - tr I), and Q and c for alpha, beta and gamma, (bodies, 27), in the same units."""
     square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max()) or 1.0
     I, rate = body.inertia, np.sqrt(square)
     alpha, gamma = body.amended()
@@ -289,7 +289,7 @@ def _linear(body: Body) -> Array:
 
 
 def _coefficients(body: Body, upright: bool, axis: int) -> Array:
-    """Return Q and c of bodies, (bodies, 2 n)."""
+    """Return the diagonal Q and the vector c of the amended potentials x.Q x / 2 + c.x of bodies, (bodies, 2 n)."""
     alpha, gamma = body.amended()
     if axis < 0:
         across = [alpha, body.beta] if body.beta.field.any() else [alpha]
@@ -303,26 +303,26 @@ def _coefficients(body: Body, upright: bool, axis: int) -> Array:
 
 
 class Degenerate(NamedTuple):
-    """Degenerate critical points x with multipliers l and null vectors (v, m). `unknowns` has N rows (x, l, v, m, position, s)."""
+    """Degenerate critical points. Each has a row (x, l, v, m, position, s) of `unknowns`, which the module's docstring explains."""
 
     potential: Potential
     unknowns: Array
-    # On pitchforks s is free, and v.dx = 0. On limits of stability s is the square of the double exponent, and v = m = 0.
+    # At folds s = 0. At pitchforks v.dx = 0 for steps dx of x. At limits of stability v = m = 0, and s is the squared double exponent.
     kind: NDArray[np.int8]
 
     @property
     def pitchfork(self) -> Mask:
-        """Which points are pitchforks."""
+        """Whether each point is a pitchfork."""
         return np.asarray(self.kind == BorderKind.PITCHFORK)
 
     @property
     def limit(self) -> Mask:
-        """Which points are limits of stability, where the number of solutions does not change."""
+        """Whether each point is a limit of stability. The number of solutions does not change across such a limit."""
         return np.asarray(self.kind >= BorderKind.LIMIT_OF_STABILITY)
 
     @property
     def excess(self) -> Array:
-        """Size |s| of the artificial force along the null vector, which is 0 on curves."""
+        """Size |s| of the artificial force along the null vector. The force is 0 on curves."""
         return np.where(self.limit, 0.0, np.abs(self.unknowns[:, -1]))
 
     @property
@@ -346,7 +346,7 @@ class Degenerate(NamedTuple):
         )
 
     def take(self, where: Any) -> Degenerate:
-        """Return some of the points."""
+        """Return the points that a mask or indices select."""
         return Degenerate(self.potential, self.unknowns[where], self.kind[where])
 
     def matrices(self) -> tuple[Array, Array, Array]:
@@ -429,7 +429,7 @@ class Degenerate(NamedTuple):
     def stable_change(self) -> NDArray[np.int64]:
         """Return how the number of stable solutions changes across curves. The change is valid where all `margins` are positive.
 
-        At a fold one merging solution is stable, or both with a cyclic angle. At a limit of stability one solution changes stability.
+        At a fold one of two merging solutions is stable, or both if an angle is cyclic. At a limit one solution gains or loses stability.
         """
         change, fork = np.where(self.potential.cyclic & ~self.limit, 2, 1), self.pitchfork
         if self.potential.size == 3 and fork.any():
@@ -469,7 +469,7 @@ class Degenerate(NamedTuple):
         return result
 
     def inside(self) -> Mask:
-        """Which points are in the box, up to rounding errors."""
+        """Whether each point is in the box, up to rounding errors."""
         return np.asarray((np.abs(self.parts[4] - 0.5) < 0.5 + _EXACT).all(1))
 
     def moved(self, change: Array) -> Degenerate:
@@ -527,7 +527,7 @@ class Degenerate(NamedTuple):
         return points, step
 
     def solves(self) -> Mask:
-        """Which points are on their curves and in the box."""
+        """Whether each point is on its curve and in the box."""
         return np.asarray((np.abs(self.equations()[0]).max(1) < _EXACT) & self.inside())
 
     def flat(self) -> Mask:
@@ -554,7 +554,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Return unknowns at points x whose distance from a degenerate point is below `reach` to first order. `solves` marks solutions."""
+        """Return unknowns where the first-order distance of x from a degenerate point is below `reach`. `solves` marks solutions x."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -584,7 +584,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
-        """Return unknowns at nearly stable solutions whose distance from a limit of stability is below `reach` to first order."""
+        """Return unknowns at nearly stable solutions. The first-order distance of each from a limit of stability is below `reach`."""
         now, *_ = potential.at(position)
         _, onto = potential.constraints(x)
         l = -np.einsum("nki,ni->nk", onto, now[0] * x + now[1])
@@ -640,8 +640,8 @@ class Degenerate(NamedTuple):
 
         On folds the first function is the third derivative along the null vector, which is 0 at cusps, and the second is 1. On
         pitchforks the functions are the product of the other eigenvalues, and this product times the fourth derivative. On limits
-        of stability the first is P''(s) of the characteristic polynomial P, which is 0 at cusps, or -1 at extrema of the momentum.
-        The second is the product of the eigenvalues. The covector (N, 2) points to the side with more solutions, or more stable ones.
+        of stability the first is P''(s) of the characteristic polynomial P, or -1 if the momentum has an extremum. P''(s) is 0 at
+        cusps. The second is the product of the eigenvalues. The covector (N, 2) points to the side with more (stable) solutions.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]

@@ -16,17 +16,18 @@ from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves, with_turns, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
-# `_LINES` inner lines along each axis, and lines at the sides, have `_SAMPLES` samples. Zeros of c_i are traced on `_CONTOUR`^2 points.
+# `_LINES` inner lines along each axis, and lines near the sides of the box, have `_SAMPLES` samples each. Lines on which a component
+# of the potential's linear term c is 0 are traced on a grid of `_CONTOUR`^2 points.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
-_ZERO = 1e-20  # replaces zeros of a component of c, so that folds there are limits of folds beside them
+_ZERO = 1e-20  # replaces 0 in c, so that a fold with c_i = 0 is the limit of folds with small c_i
 _ON_SPHERE = 8  # steps of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
 CELLS = 13  # cells of the coarse grid along each axis; odd, because bodies in the middle are often symmetric
 _RIM = 0.004  # distance of the outermost lines from the sides of the box, where bodies are often symmetric
-# One more grid line is this far from the middle. Between two corners symmetric about the middle, jumps at mirrored curves cancel.
+# Distance of one more grid line from the middle of the box. Without this line, jumps at curves mirrored about the middle may cancel.
 _BESIDE_MIDDLE = 5e-4
-REACH = 2.0  # distance in cells within which curves are sought from an equilibrium
-# Up to `_SEARCHES` searches use `_BETWEEN` points of each grid interval where curves predict a wrong change of the numbers of equilibria.
+REACH = 2.0  # Curves are sought from an equilibrium up to this distance, in cells.
+# At most `_SEARCHES` times, more curves are sought from `_BETWEEN` points of each grid interval with unexplained numbers of equilibria.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4  # `_DIVISIONS` chords replace a curve segment.
 
 
@@ -47,8 +48,8 @@ class Cell(Flag):
 def on_sphere(potential: Potential) -> Degenerate:
     """Return points of all curves in the box, for x on a sphere or circle.
 
-    For Q = diag(d) and c = b the solutions are x = -b / (d - L) for all L with F(L) = sum b_i^2 / (d_i - L)^2 = 1. At a fold the
-    minimum of F between two poles with b_i != 0 is 1. If a parameter moves one component of b alone, or scales d, every curve of
+    For the potential x.diag(d) x / 2 + b.x the solutions are x = -b / (d - L) with F(L) = sum b_i^2 / (d_i - L)^2 = 1. At a fold
+    the minimum of F between two poles with b_i != 0 is 1. If a parameter moves only one component of b, or scales d, each curve of
     folds leaves the box or meets a line b_i = 0. If b_i = 0 in the whole box, the other terms of F(d_i) sum to 1 at a pitchfork.
     """
     n, sides, steps = potential.size, np.linspace(0, 1, _SAMPLES), np.linspace(0, 1, _CONTOUR)
@@ -63,7 +64,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
 
     def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-        """Return log F and L, (levels, N), and d and b. Levels are the minima between poles, and the poles d_i where b_i is always 0."""
+        """Return log F(L) and L, (levels, N), and d and b. L is a minimum of F between poles, or a pole d_i where b_i is always 0."""
         d, b = np.moveaxis(potential.at(position)[0], -1, 1)
         b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
         b[absent] = 0.0
@@ -109,7 +110,8 @@ def near_solutions(
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
     x, solves = potential.from_attitudes(alpha, listed["gamma"]), listed["index"] >= 0
     certain = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (potential.axis >= 0)
-    weight = 1 + (listed["circle"] & (potential.size == 2))  # Circles meet the plane of x twice.
+    # If x has two components, x is in a plane that every circle of equilibria meets twice.
+    weight = 1 + (listed["circle"] & (potential.size == 2))
     known = ~np.isnan(x[..., -1])
     if potential.mirrored:
         known &= x[..., :3] @ _ANY > 0
@@ -148,7 +150,7 @@ def all_curves(
     jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
     seeds = near.settled(2 * reach) if potential.size >= 6 else on_sphere(potential)
     seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
-    # Beyond a zero of these functions, the other side of the curve has more solutions, or more stable solutions.
+    # Where one of these functions is 0 on a curve, the side with more solutions, or with more stable solutions, may change.
     tests: list[Callable[[Degenerate], Array]] = [
         lambda points: points.character()[1][1],
         lambda points: np.where(points.pitchfork, 1.0, points.character()[1][0]),
@@ -205,12 +207,11 @@ def all_curves(
 
 
 def _margin(condition: int) -> Callable[[Degenerate], Array]:
-    """Return a function of points that gives the margin of one condition of stability."""
     return lambda points: points.margins()[:, condition]
 
 
 def _crossing(points: Degenerate) -> Array:
-    """Return a function that is zero where a limit of stability has a cusp, or where the covector is zero and two limits cross."""
+    """Return values that are 0 at a cusp of a limit of stability, and where two limits cross. The covector is 0 at such a crossing."""
     _, (bend, _), covector = points.character()
     return np.where(points.limit, bend * (covector @ _ANY[:2]), 1.0)
 
@@ -226,7 +227,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
     Row 0 of the differences, (2, segments), counts all solutions, and row 1 counts stable solutions.
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
-    fork = middle.pitchfork  # Off the curve, solutions may seem to bifurcate to the wrong side.
+    fork = middle.pitchfork  # moved onto the curve, because other points may bifurcate to the wrong side
     middle.unknowns[fork] = middle.take(fork).nearest(1)[0].unknowns
     index, _, covector = middle.character()
     chord = parts.end.parts[4] - parts.start.parts[4]

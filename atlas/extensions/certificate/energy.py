@@ -48,7 +48,7 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        if step < 2:  # J - W* is least for the rate n at which the minimum of W has the start's momentum.
+        if step < 2:  # The energy bound is least if a body at the minimum of W has the start's momentum.
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
             n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
@@ -61,7 +61,7 @@ def in_space(body, w, gamma):
 
 
 def symmetric(body, w, alpha, gamma):
-    """Return bounds of a symmetric body in a frame with alpha and gamma. W_S depends only on the direction of the body's third axis."""
+    """Return bounds of the motion of a symmetric body in a frame with alpha and gamma, from the potential W_S of the body's third axis."""
     A, _, C = body.inertia
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
     start = alpha[2], cross(gamma, alpha)[2], gamma[2]
@@ -84,7 +84,7 @@ def symmetric(body, w, alpha, gamma):
 
 
 def upright(body, w, alpha, gamma):
-    """Return bounds near theta = 0 or pi, from W - W* >= a x - b x^2 / 2 with x = 1 - |cos(theta)|, for an axial rotor and field."""
+    """Return bounds of a motion near theta = 0 or pi, from W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|. Rotor and field are axial."""
     radius, normal = amended(body)
     across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
@@ -104,7 +104,7 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Return bounds near any minimum of W. A turn by d gives W - W* >= `least` d^2 / 2 - M d^3 / 6 - `slope` d, where M bounds |W'''|."""
+    """Return bounds of a motion near a minimum of W. Turns by d give W - W* >= `least` d^2 / 2 - M d^3 / 6 - `slope` d with M >= |W'''|."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
@@ -124,7 +124,7 @@ def attitude(body, w, alpha, gamma):
     if not least > 0:
         return unknown()
     slope = length(torque(body, a, g)) + GRADIENT * size
-    third = (1 + 17**0.5 / 4) * spread  # This is a bound of the third derivative of v.I v / 2.
+    third = (1 + 17**0.5 / 4) * spread  # bounds |d^3/dt^3 (v.I v / 2)| if a unit vector v turns by an angle t
     M = size_of(radius, third) + size_of(normal, third) + drag + GRADIENT * size
     limit = smaller(np.pi, (least + np.sqrt(least**2 - 2 * M * slope)) / M)
     offsets = minus(a, alpha), minus(b, cross(gamma, alpha)), minus(g, gamma)
@@ -141,12 +141,12 @@ def amended(body):
 
 
 def size_of(direction, moment):
-    """Return the sum of the magnitudes of the terms in the second derivatives of the potential along a direction."""
+    """Return the sum of the magnitudes of the terms with `direction` in the second derivatives of the potential."""
     return moment * abs(direction.gradient) + length(direction.field)
 
 
 def torque(body, a, g):
-    """Return the gradient of W under rotations."""
+    """Return the gradient of the amended potential W under rotations of the body."""
     radius, normal = amended(body)
     first = cross(plus(times(scaled(radius.gradient, body.inertia), a), radius.field), a)
     first = plus(first, cross(body.beta.field, cross(g, a)))
@@ -183,7 +183,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """Return an upper bound of J - W(a, g) that includes rounding errors. Also return `size`, to which rounding errors are relative."""
+    """Return an upper bound, with rounding errors, of the energy minus W(a, g). Also return `size`, the scale of rounding errors."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -201,7 +201,7 @@ def difference(body, direction, start, v):
 
 
 def rigid(body, theta, angle, square, n):
-    """Return bounds of a body that stays within `angle` of theta, with u.I u <= `square` in the frame of rate n."""
+    """Return `Bounds` of a body within `angle` of theta. The body's angular velocity u in a frame of rate n has u.I u <= `square`."""
     if angle != angle:
         return unknown()
     least, largest = sine_range(theta, angle)
@@ -213,10 +213,10 @@ def rigid(body, theta, angle, square, n):
 
 
 def on_sphere(Q, c, start, z, square, size):
-    """Return theta at a minimum z of W on the unit sphere, and two bounds for all time, of the angle from z and of u.I u.
+    """Return theta at a minimum z of W on the unit sphere. Also return, for all time, a bound of the angle from z and a bound of u.I u.
 
     W(x) is x.Q x / 2 + c.x, u is the angular velocity in the frame, and u.I u is `square` at the start. If Q z + c = L z, then
-    W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If Q > L, the whole sphere is the well. Else a polynomial in |x - z| bounds W from below.
+    W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If Q > L, this form is positive for any x. Near z a polynomial in |x - z| bounds W from below.
     """
     curved, offset = times(Q, z), minus(start, z)
     slope = plus(curved, c)
@@ -309,7 +309,7 @@ def least_eigenvalue(diagonal, mixed):
 
 
 def jacobi(a, b, h, g, f):
-    """Make h 0 by a Jacobi rotation. The entry h is in the row of a and the column of b. The other off-diagonal entries are g and f."""
+    """Make h = 0 by a Jacobi rotation. The entry h couples the diagonal entries a and b. The other off-diagonal entries are g and f."""
     if h == 0:
         return a, b, h, g, f
     ratio = (b - a) / (2 * h)

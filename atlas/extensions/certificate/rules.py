@@ -114,7 +114,7 @@ def load(block, i):
 
 
 def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bound):
-    """Write the proofs of every start into `kinds`, `labels` and `bound`. The frame has one direction if `single`."""
+    """Write the proofs of every start into `kinds`, `labels` and `bound`. If `single` is true, only gamma is at rest in the frame."""
     for i in range(bound.size):
         w, alpha, gamma = load(bodies.w, i), load(bodies.alpha, i), load(bodies.gamma, i)
         body = body_at(bodies, i)

@@ -15,7 +15,7 @@ from .bounds import Bounds, is_away, is_inside, reach
 
 
 def top(body, w, gamma, tolerances):
-    """Return bounds of a body with A = B and no damping, if rotor and field are along its third axis."""
+    """Return bounds of the motion of a body with A = B and no damping, if rotor and field are along the body's third axis."""
     A, _, C = body.inertia
     p, q, r = w
     g1, g2, x0 = gamma
@@ -86,7 +86,7 @@ def top_end(f, errors, sine2, x0, sign):
 
 
 def change_of_psi(which, over, other, constants):
-    """Return y = x - x0 and psi'(x) - psi'(x0), where x is an end of the range, or a zero of d(psi')/dx or of d(x psi')/dx."""
+    """Return y = x - x0 and psi'(x) - psi'(x0). Here x = cos(theta) is an end of its range, or a zero of d(psi')/dx or of d(x psi')/dx."""
     a, S, A, sine2, x0, low, high = constants
     y = low if which == 0 else high
     if which > 1:

@@ -1,4 +1,4 @@
-"""All relative equilibria of a gyrostat, of one body or of many at once."""
+"""All relative equilibria of one gyrostat, or of many gyrostats at once."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria, as a fracti
 _SAME = 1e-4  # Rotation matrices count as equal if their distance is smaller.
 # Potentials count as equal if they differ by less than this fraction of `_scale`, unit vectors if `_DECIMALS` decimals agree.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
-_MAX_SCALE = 1e60  # Units, rates and torques must be smaller, so that products of a few of them are finite.
+_MAX_SCALE = 1e60  # Nonzero moments, rates and torques are from 1 / _MAX_SCALE to _MAX_SCALE. Products of a few are then finite.
 _BLOCK = 512  # number of bodies that are computed together
 NOT_CERTAIN = (
     "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
@@ -168,18 +168,18 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Return all relative equilibria of many bodies. For bodies on an orbit, homotopy continuation finds the equilibria (see `homotopy`).
+    """Return all relative equilibria of many bodies. Homotopy continuation finds those of bodies on an orbit (see `homotopy`).
 
-    A secular equation gives the equilibria of bodies whose symmetry about an axis is exact to the last bit. A list is complete if two
-    tests pass. The sum of (-1)^index must have the value of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of an axis of symmetry.
-    The sign of every eigenvalue of the Hessian must be certain. Near a symmetry, moments must therefore differ by 1e-12 of the largest
-    moment. Near a bifurcation, solutions must be 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and solutions that merge are
+    A secular equation gives the equilibria of bodies whose symmetry about an axis is exact to the last bit. A complete list passes two
+    tests. The sum of (-1)^index is that of Poincare and Hopf's theorem, 0 on SO(3) and 2 on the sphere of an axis of symmetry. The sign
+    of every eigenvalue of the Hessian is certain. Near a symmetry, moments must therefore differ by at least 1e-12 of the largest one.
+    Near a bifurcation, solutions must be at least 1e-5 apart. Else completeness is NEAR_BIFURCATION, and solutions that merge are
     listed once, as degenerate. Bodies with A = B = C, without an orbit, or with a lost path are searched one by one, in about 70 ms each.
 
-    `pause` is called at least once a second and may raise an exception. `stability` asks for the variables `STABILITY`. `ordered`,
-    see `homotopy.solve`, adds attitudes near complex solutions, with index -1. The arrays (bodies, places) are in the order of the
-    potential and then of the attitude. Unused places are last, with nan, index -1 and stable 0. completeness (bodies,) has values of
-    `flags.Completeness`.
+    `pause` is called at least once a second and may raise an exception. `stability` asks for the variables `STABILITY`. `ordered`
+    adds attitudes near complex solutions, with index -1 (see `homotopy.solve`). Arrays (bodies, places) are in the order of the
+    potential and then of the attitude. Unused places are last. They have nan, index -1 and stable 0. completeness (bodies,) has values
+    of `flags.Completeness`.
     """
     count = points["A"].size
     completeness = np.empty(count, np.int8)

@@ -68,8 +68,8 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         any dimensions, which are broadcast against each other, by 1-D arrays of one length, or by a table in one of the forms of
         points in `label_points`.
     max_equilibria : int, optional
-        Length of the dimension "equilibrium". By default it is the number of equilibria for one body, and 24 (satellite) or 12 for
-        many. Arrays of dask need this length, and give a lazy result. A satellite without circles of equilibria has at most 24.
+        Length of the dimension "equilibrium". The default is the number of equilibria of one body. For many bodies it is 24 (satellite)
+        or 12 (fixed_point). Arrays of dask need a length, and give a lazy result. Without circles a satellite has at most 24 equilibria.
 
     Returns
     -------
@@ -91,8 +91,8 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     ------
     BadInput
         If a single body cannot exist, if every orientation of this body is an equilibrium, or if the number of equilibria or
-        an index is not certain. If none of many bodies can exist, except in a lazy result, which marks impossible bodies. If
-        there are more equilibria than `max_equilibria`.
+        an index is not certain. If none of many bodies can exist; a lazy result marks such bodies instead. If there
+        are more equilibria than `max_equilibria`.
 
     Notes
     -----

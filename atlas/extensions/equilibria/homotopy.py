@@ -36,7 +36,7 @@ AXES = np.eye(3)
 # With these arbitrary moments the paths need few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
 # Each attempt has a largest correction by Newton's method (rad, summed over the axes), a largest step, and a number of iterations at
-# the end. Later attempts are for bodies with a lost path, or with equal ends because a path has jumped to another. Later attempts
+# the end. Later attempts are for bodies with a lost path, or with two equal ends, because one path has jumped to another path. They
 # iterate more often, because near a bifurcation each iteration only halves the error.
 _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 # Steps may become short, because paths near a symmetric body turn sharply where 1 - t is as small as the distance from symmetry.
@@ -55,12 +55,12 @@ _NEARLY_REAL = 1.0  # largest imaginary part of a solution that counts as nearly
 def solve(
     inertia: Array, p: Array, r: Array, q: Array, ordered: bool = False
 ) -> tuple[Array, Array, Mask, Mask, Mask]:
-    """Find the critical points of W for some bodies. A number added to all three moments has no effect.
+    """Find the critical points of the potential W of some bodies, see the module. A number added to all three moments has no effect.
 
     If neighbouring bodies are similar, `ordered` lets Newton's method start from the complex solutions of a neighbour. The results
-    alpha and gamma (3, 24, bodies) are unit vectors at real critical points, and real parts elsewhere. The masks `real` and `nearly`
-    (24, bodies) choose the real solutions, and one of each pair of nearly real conjugates. `complete` (bodies,) tells whether every path
-    ends at infinity or at its own solution, which is clearly real or clearly not. For other bodies `real` chooses one of
+    alpha and gamma (3, 24, bodies) are unit vectors at real critical points, and real parts elsewhere. The mask `real`
+    (24, bodies) marks real solutions, and `nearly` marks one of each pair of nearly real conjugates. `complete` (bodies,) tells whether
+    every path ends at infinity or at its own solution, which is clearly real or clearly not. For other bodies `real` marks one of
     several merged solutions, and no solution if a path is lost.
     """
     inertia = inertia - inertia.mean(0)
@@ -233,7 +233,6 @@ def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three
 
 
 def _cross(a: Three, b: Three) -> Three:
-    """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 

@@ -18,11 +18,11 @@ _UNCERTAIN = 1e-13  # Rounding decides the sign of an eigenvalue below this frac
 
 
 def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[str, NDArray[Any]]:
-    """Return all permanent rotations of bodies about the vertical, each at its rate n, where 0 means rest.
+    """Return all permanent rotations of bodies about the vertical. Each body has its own rate n, and n = 0 means rest.
 
-    `points` maps every parameter to an array (bodies,). A connected set of solutions is represented by one member. Results in the
-    order of body and theta are row (the number of the body), dimension (of the set), index (the number of directions in which the
-    amended potential decreases, 0 if stable), flat (whether the index is uncertain), theta0, phi0 (rad), gamma, circle and
+    `points` maps every parameter to an array (bodies,). A connected set of solutions is one entry. Entries are sorted by body, then by
+    theta. The arrays are row (number of the body), dimension (of the set), index (number of directions in which the amended potential
+    decreases), flat (whether the index is uncertain), theta0, phi0 (rad), gamma, circle (whether the set is a circle) and the variables
     `algebra.STABILITY`. With `nearly`, attitudes near complex solutions are added, with index -1.
     """
     turning = body_at_rest(system, points)

@@ -1,8 +1,8 @@
 """Frequencies of one motion, which are the strongest lines in the spectra of its angles.
 
 The method is numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R). The maximum of the
-windowed Fourier integral is refined to far below the distance of lines in a discrete transform. All lines so far are fitted
-together, and the next line is found in the residual. Packages for this method have restrictive licences, so it is written here.
+windowed Fourier integral gives a frequency with an error far below the spacing of a discrete Fourier transform. All lines so far
+are fitted together, and the next line is found in the residual. Packages for this method have restrictive licences and are not used.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
 
 
 def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
-    """Return the strongest lines, and the signal and frequency of the fastest line that the samples do not resolve, 0 if none."""
+    """Return the strongest lines, and the signal and frequency of the fastest unresolved line, or ("", 0) if all lines are resolved."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
     dims, shape = ("signal", "line"), (len(columns), lines)

@@ -133,7 +133,7 @@ class _Mechanics:
         dissipation: Expression,
         functions: Mapping[str, Expression | Sequence[Expression]],
     ) -> _Mechanics:
-        """Check the arguments, apart from the mass matrix. `groups` maps the name of an argument to symbols."""
+        """Return the checked arguments. The mass matrix is not checked here. `groups` maps names of arguments to their symbols."""
         import sympy
 
         for name, group in groups.items():
@@ -236,7 +236,7 @@ class _Mechanics:
         return matrix
 
     def right_side(self, matrix: list[list[Expression]]) -> list[Expression]:
-        """Return f of M v' = f. Each component has the simpler of two forms, from the given Lagrangian and from `_by_powers`."""
+        """Return f of the equations M v' = f, with M = `matrix` and accelerations v'. Each component has the simpler of two forms."""
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
         total = self.total_forces()
         result = []
@@ -250,7 +250,7 @@ class _Mechanics:
         return result
 
     def _by_powers(self, matrix: list[list[Expression]]) -> Expression:
-        """Return the Lagrangian by powers of the velocities, with the simplified M, or as given if it is not quadratic in them."""
+        """Return the Lagrangian with the quadratic part v.M v / 2, for velocities v and M = `matrix`. If M depends on v, change nothing."""
         import sympy
 
         v = sympy.Matrix(self.velocities)
@@ -299,7 +299,7 @@ class _Mechanics:
         return result
 
     def accelerations(self) -> list[Expression]:
-        """Return v' as expressions."""
+        """Return the accelerations as expressions."""
         import sympy
 
         matrix = self.mass_matrix()
@@ -419,7 +419,7 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
 
 
 def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
-    """Solve linear equations with a symmetric matrix, two by the inverse matrix, and more by the factors K D K^T."""
+    """Solve linear equations with a symmetric matrix. The inverse matrix solves two equations, the factors K D K^T solve more."""
     import sympy
 
     n, given = len(matrix), sympy.Matrix(right_side)

@@ -66,7 +66,7 @@ def text(expression: Expression) -> str:
 
 
 def lines_of(start: str, body: Any, indent: int = 0) -> list[str]:
-    """Return `start` and `body`, wrapped at `LINE_LENGTH`. Further lines are indented, by default as far as `start`."""
+    """Return `start` + `body` as lines wrapped at `LINE_LENGTH`. Later lines are indented, by default by the length of `start`."""
     following = " " * (indent or len(start))
     return wrap(
         f"{start}{body}", LINE_LENGTH, subsequent_indent=following, break_long_words=False, break_on_hyphens=False
@@ -119,7 +119,7 @@ def function_text(
 
 
 def _statement(start: str, body: str) -> list[str]:
-    """Return the statement of a function, in parentheses if it takes several lines."""
+    """Return the lines of a statement in a function. If there are several lines, `body` is in parentheses."""
     if len(start) + len(body) < LINE_LENGTH - 4:
         return [f"    {start}{body}"]
     return lines_of(f"    {start}(", f"{body})", indent=8)

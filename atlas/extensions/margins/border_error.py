@@ -37,7 +37,7 @@ OF_AXES = {
 
 
 class BorderError(xr.Dataset):
-    """Borders of a map. The text of the dataset by `str` is a sentence about the borders."""
+    """Borders of a map and their errors. `str` turns this dataset into a sentence about the borders."""
 
     __slots__ = ()
 

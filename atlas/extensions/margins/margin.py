@@ -121,7 +121,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """Return the nearest of `places` below (`side` -1) or above (`side` 1) `value`, or nan. None stands for the value of each sample."""
+    """Return the nearest of `places` below (`side` -1) or above (`side` 1) `value`, or nan. If `value` is None, do so for each sample."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:
@@ -130,7 +130,7 @@ def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
 
 
 def _curves(scene: Scene, line: xr.DataArray, axis: str, frame: str, index: tuple[np.ndarray, ...]) -> Array:
-    """Return the values of `axis` where a border of theory runs between the points `index` and the previous points, or nan."""
+    """Return the values of `axis` where a border of theory runs between the points `index` and their predecessors on `axis`, or nan."""
     whole = {
         dim: line[dim].values[index[line.dims.index(dim)]]
         if dim in line.dims

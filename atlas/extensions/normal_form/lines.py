@@ -1,4 +1,4 @@
-"""Resonances and zeros of the determinant D, as lines of nonlinear stability where the energy does not decide stability."""
+"""Lines of nonlinear stability, which are resonances and zeros of a determinant D. Regions in which the energy decides have none."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def lines(plane: Plane, ds: xr.Dataset) -> Lines:
 
 
 def nonlinear_lines(plane: Plane) -> Lines:
-    """Return resonances, and zeros of D as DETERMINANT_ZERO, where the energy does not decide stability."""
+    """Return resonances and, as DETERMINANT_ZERO, zeros of the determinant D. Regions that the energy proves stable have no lines."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     columns = plane.derived(coordinates, (_VERDICT, _DETERMINANT))
     shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)
 
     def determinant(positions: Array) -> Array:
-        """Return D at positions, which are fractional indices of the lattice."""
+        """Return the determinant D at positions, which are fractional indices of the lattice."""
         coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
 

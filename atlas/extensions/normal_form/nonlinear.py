@@ -49,12 +49,12 @@ if TYPE_CHECKING:
 
     from ...systems.gyrostat import Gyrostat
 
-_ZERO = 1e-9  # A sum counts as different from 0 in a verdict if |sum| / sum of |terms| is larger.
+_ZERO = 1e-9  # A sum counts as different from 0 in a verdict if |sum| exceeds this fraction of the sum of |terms|.
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
 _CHUNK = 256  # number of points computed together, so that arrays stay in the processor's cache
-# These are the monomials of c20, c11, c02 and of the resonance 3:1, as indices of factors. 0 and 1 mean zeta_1 and zeta_2, and 2 and
-# 3 mean the conjugates, where z = w_1 zeta_1 + w_2 zeta_2 + conjugates.
+# These are the monomials of c20, c11, c02 and of the resonance 3:1, as indices of factors. 0 and 1 mean zeta_1 and zeta_2, and 2 and 3
+# mean their conjugates. A deviation from the equilibrium is w_1 zeta_1 + w_2 zeta_2 + conjugates, with eigenvectors w_1 and w_2.
 _MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)
 
 
@@ -67,11 +67,11 @@ class NormalForm(NamedTuple):
     c11: Array
     c02: Array
     cubic: Array  # magnitude of the coefficient of zeta_1 zeta_2^2, which is resonant at l1 = -2 l2
-    quartic: Array  # B of the resonant term at l1 = -3 l2
+    quartic: Array  # amplitude of the term sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) in actions and angles, resonant at l1 = -3 l2
 
     @classmethod
     def of(cls, second: Array, third: Array, fourth: Array) -> NormalForm:
-        """Return normal forms from the derivatives of H by (q1, q2, p1, p2) of order 2 (points, 4, 4), order 3 and order 4."""
+        """Return normal forms from derivatives of the Hamiltonian by (q1, q2, p1, p2), of shapes (points, 4, 4), (points, 4, 4, 4), ..."""
         frequencies, modes = _modes(second)
         t = (third.reshape(-1, 16, 4) @ modes).reshape(-1, 4, 4, 4)
         transposed = np.swapaxes(modes, 1, 2)
@@ -125,7 +125,7 @@ class NormalForm(NamedTuple):
 
 
 def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
-    """Return values of `NonlinearStability` (points,), and c20, c11, c02 and D (4, points), which are nan without a normal form."""
+    """Return `NonlinearStability` (points,), and c20, c11, c02 and the determinant D (4, points), which are nan without a normal form."""
     flags, kind = steady_families(system, points), kinds_of_stability(system, points)
     result = np.full(flags.shape, NonlinearStability.UNDECIDED, np.int8)
     values = np.full((4, flags.size), np.nan)
@@ -153,9 +153,9 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Return verdicts (points,), and c20, c11, c02 and D times the unit of moments (4, points), which are nan without a normal form.
+    """Return verdicts (points,), and c20, c11, c02 and D (4, points), each times the unit of moments and nan without a normal form.
 
-    With fewer than two degrees of freedom the energy decides, and the verdict is degenerate. With more than two the verdict is undecided.
+    With fewer than two degrees of freedom the verdict is DEGENERATE, and the caller uses the energy. With more it is UNDECIDED.
     """
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
@@ -174,7 +174,7 @@ def stability(rest: Equilibria) -> tuple[Flags, Array]:
 
 
 def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Return the derivatives of order 2, 3 and 4 of H by (u, v, p_u, p_v) at the equilibria with the indices `members`."""
+    """Return the second, third and fourth derivatives of the Hamiltonian by (u, v, p_u, p_v) at the equilibria with indices `members`."""
     body, alpha, gamma = rest.body.subset(members), rest.alpha[members], rest.gamma[members]
     axis, inertia, turn = rest.cyclic[members, :, 1], body.inertia, body.turn[:, None]
     axial = (axis != 0).any(1, keepdims=True)
@@ -215,7 +215,7 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Return derivatives of the terms of H at 0, (monomials, terms), and the row of each derivative of order 2, 3 and 4."""
+    """Return derivatives at 0 of terms of the Hamiltonian, (monomials, terms), and arrays with the rows of orders 2, 3 and 4."""
     from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
@@ -294,9 +294,10 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return the terms of {H3, chi} / 2: rows of indices a, b, c, e and d; factors; and the first term of each of `_MONOMIALS`.
+    """Return rows of indices a, b, c, e and d, factors, and the first term of each of `_MONOMIALS`, for the terms of {H3, chi} / 2.
 
-    A term is factor * t_abd t_ced* / (rate_c + rate_e - rate_d). Here t has the third derivatives of H3, and d* means conj(zeta_d).
+    The Poisson bracket {H2, chi} is -H3, where H2 and H3 are the terms of degree 2 and 3 of the Hamiltonian. Let t be the third
+    derivatives of H3, and d* the index of conj(zeta_d). A term is then factor * t_abd t_ced* / (rate_c + rate_e - rate_d).
     """
     indices: list[tuple[int, ...]] = []
     weights, starts = [], []

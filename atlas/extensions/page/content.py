@@ -1,4 +1,4 @@
-"""Content of a page as a table for JSON."""
+"""All that a page about an atlas shows, as a dictionary that is written as JSON."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
 
 
 def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Return the lines of theory, slow points, and reasons for white points. These are empty for an atlas of single points."""
+    """Return lines of theory, unstable points whose runs ended before a drift, and reasons for white points. Single points have none."""
     if layout.points:
         return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
     name = "label" if "label" in layout.ds else next(iter(map(str, layout.ds.data_vars)))
@@ -432,7 +432,6 @@ class Layout:
 
     @property
     def system(self) -> System:
-        """System of the atlas."""
         return system_of(self.ds)
 
     @property
@@ -447,7 +446,7 @@ class Layout:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the points."""
+        """Shape of an array over all points."""
         return tuple(self.sizes.values())
 
     def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
@@ -468,7 +467,7 @@ class Layout:
 
 
 def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS, degrees: bool | None = None) -> Layout:
-    """Return the layout of a page, or raise BadInput without axes. Above `max_points`, the longest axes have every k-th value."""
+    """Return the layout of a page, or raise BadInput without axes. Above `max_points` points, the longest axes have fewer values."""
     check_not_empty(ds)
     single = POINT in ds.dims
     dims = (

@@ -36,7 +36,7 @@ class Motions:
     """Start values of the points of an atlas, as arrays (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # As in `kernel.ensemble.Ensemble`. If the equations of a body have no `axis_in_frame`, `state` ends with the frame's first axis.
+    # `state` and `constants` are as in `Ensemble`. If a body's equations lack `axis_in_frame`, `state` ends with the frame's first axis.
     state: Array
     constants: Array
     duration: Array  # length of the run in time units
@@ -101,7 +101,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         finite = np.where(np.isfinite(duration), duration, 0.0)
         at_points = settings.at(rate_tolerance)
         count = StepSizes.of(at_points, ensemble.frequency_bound, finite).steps
-        if system.has_numeric_bound:  # the bound is found by runs, so that the steps are taken from the atlas
+        if system.has_numeric_bound:  # the frequency bound would need runs, so the atlas gives the steps
             if "step" not in ds:
                 raise BadInput(
                     "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those"

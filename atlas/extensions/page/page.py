@@ -85,7 +85,7 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
     -------
     Page
         Jupyter shows the page in the cell, and `page().save("map.html")` writes a file. The page needs no server and loads nothing.
-        An atlas with more than `atlas.extensions.page.content.MAX_POINTS` points is thinned to every k-th value along the longest axes.
+        Above `atlas.extensions.page.content.MAX_POINTS` points, only every second, third, ... value along the longest axes is shown.
     """
     return atlas_page(ds, degrees=degrees)
 

@@ -44,7 +44,7 @@ RAISED, LOWERED = 1, -1
 def text_runs(text: str) -> list[Run]:
     r"""Return the runs of equal style in a text such as "$\theta_0$ (rad s$^{-1}$)", which is in Matplotlib's notation.
 
-    A run has the keys "t" (letters), "i" (true if italic) and "s" (1 if raised, -1 if lowered). Unknown commands become names.
+    A run has the keys "t" (letters), "i" (true if italic) and "s" (1 raised, -1 lowered). An unknown command such as \foo becomes foo.
     """
     parts = text.split("$")
     if len(parts) % 2 == 0:  # an unpaired dollar sign is a letter
@@ -68,7 +68,7 @@ def plain(text: str) -> str:
 
 
 def _append(result: list[Run], text: str, italic: bool, shift: int) -> None:
-    """Add letters to the last run if the style is the same, else as a new run."""
+    """Append `text` to the last run if that run has the same style. Otherwise append a new run."""
     style = ({"i": True} if italic else {}) | ({"s": shift} if shift else {})
     if result and {k: v for k, v in result[-1].items() if k != "t"} == style:
         result[-1]["t"] += text
@@ -77,7 +77,7 @@ def _append(result: list[Run], text: str, italic: bool, shift: int) -> None:
 
 
 class _Formula:
-    """One formula, set from left to right."""
+    """One formula, which is typeset from left to right."""
 
     def __init__(self, tokens: list[str], result: list[Run]):
         self.tokens, self.result = tokens, result
@@ -91,14 +91,14 @@ class _Formula:
         return ""
 
     def group(self, shift: int, accent: str) -> None:
-        """Set tokens up to the end of a group."""
+        """Typeset tokens up to the end of a group."""
         while token := self.next():
             if token == "}":
                 return
             self.set(token, shift, accent)
 
     def argument(self, shift: int, accent: str) -> None:
-        """Set one token or group."""
+        """Typeset the next token, or the next group in braces."""
         token = self.next()
         if token == "{":
             self.group(shift, accent)
@@ -106,7 +106,7 @@ class _Formula:
             self.set(token, shift, accent)
 
     def set(self, token: str, shift: int, accent: str) -> None:
-        """Set one token."""
+        """Typeset one token."""
         if token in ("_", "^"):
             self.argument(RAISED if token == "^" else LOWERED, "")
         elif token == "{":
@@ -122,7 +122,7 @@ class _Formula:
             _append(self.result, letter + accent, letter.isalpha(), shift)
 
     def command(self, name: str, shift: int, accent: str) -> None:
-        """Set the accent, space, font, function or letter that a command means."""
+        """Typeset the accent, space, font, function or letter that a command means."""
         if name in _ACCENTS:
             self.argument(shift, accent + _ACCENTS[name])
         elif name in _SPACES:

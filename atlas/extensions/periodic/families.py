@@ -24,26 +24,26 @@ from .flow import SIZE
 from .orbits import Family, Orbit, Solution
 
 NODES, MOST_NODES = 5, 40
-# Nodes are added if the mean segment exceeds SEGMENT periods of the birth, or if a segment amplifies changes by more than EXPANSION.
+# Nodes are added if a segment amplifies changes more than EXPANSION times, or if the mean segment exceeds SEGMENT * period at the birth.
 SEGMENT, EXPANSION = 0.3, 60.0
-# Length and number of the first steps, which give the slope at the birth; longest and shortest step; largest number of steps.
+# Length and number of the first steps, which give d period / d energy at the birth; longest and shortest step; largest number of steps.
 FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
-# Largest changes in a step of a multiplier's angle and of log |multiplier|; least cosine between the tangents at both ends.
+# The largest changes of a multiplier's angle and of log |multiplier| in a step; the least cosine between the tangents at a step's ends.
 ANGLE, GROWTH, COSINE = 0.35, 1.5, 0.9
 FAR = 0.35  # largest distance of an orbit from its guess, as a fraction of the step
 FAST = 12.0  # a family is unbounded if a rate exceeds this multiple of `Flow.rate`
 SLOW = 1.5e-3  # a steady motion may be near an orbit whose least speed is below this fraction of the largest
 COMPLETE = 3.0  # pairs of events within a step are looked for while the period is below this multiple of the period at the birth
-LATER = 3.0  # beyond COMPLETE, multipliers may change this many times as much in a step
+LATER = 3.0  # at periods above the limit of COMPLETE, ANGLE and GROWTH are multiplied by this factor
 # A function may have a pair of zeros where the polynomial through members falls below DIP times the least value of the members. Up to
 # PAIRED members are computed there, until a value is below TOUCHING and counts as 0.
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
 SAME = 0.02  # events at a distance below this fraction of a step are the same
 RETURNED = 0.01  # states at a distance below this fraction of the size of the orbit are the same
-# The zero of a polynomial through KNOWN members is accepted if the nearest member is within NEAR times the step, and the value of
-# this member is below SMALL times the larger value at an end of the interval.
+# A polynomial through KNOWN members locates the zero of a function. The zero is accepted if the nearest member is within NEAR times
+# the step, and |function| at this member is below SMALL times the larger |function| at the ends of the interval.
 KNOWN, NEAR, SMALL = 6, 1e-5, 1e-3
-SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # fractions of an interval that has a singular orbit
+SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # members are added at these fractions of an interval
 
 
 class Event(NamedTuple):
@@ -127,7 +127,7 @@ class Section:
         return sorted(self.members, key=lambda each: abs(each.arc - arc))[:KNOWN]
 
     def coefficients(self, value: Value, arc: float, others: Sequence[Member] = ()) -> tuple[Array, float]:
-        """Return the coefficients of a polynomial through members near `arc`, in (arc length - `arc`) / unit, and the unit."""
+        """Fit a polynomial in (arc length - `arc`) / unit to `value` at the members near `arc`. Return the coefficients and the unit."""
         near = [*self.nearest(arc), *others]
         distances = np.array([each.arc - arc for each in near])
         unit = np.abs(distances).max()
@@ -145,7 +145,7 @@ class Section:
         return middle + (roots[0] if roots.size else 0.0)
 
     def zero(self, value: Value, low: Member, high: Member) -> float:
-        """Return the arc length between `low` and `high` at which `value` vanishes; it has opposite signs at the two members."""
+        """Return the arc length between `low` and `high` at which `value` vanishes. At these members `value` has opposite signs."""
         size = SMALL * max(abs(value(low)), abs(value(high)))
         for i in range(60):
             arc = self.estimate(value, low, high)

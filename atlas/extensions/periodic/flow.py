@@ -1,8 +1,8 @@
 """The flow of one body, and the growth of small changes of its states.
 
 A change of a state has three components of the angular velocity w, divided by `Flow.rate`, and three of the attitude. The last three
-are a rotation eta with dv = v x eta if the state has two directions v of the frame, else d gamma. If the third axis is an axis of
-symmetry, a motion turned by R(chi) about this axis is a motion too. R(chi) turns the components 1 and 2 of w, of directions and of eta.
+are d gamma if the state has one direction gamma of the frame. For two directions v they are a rotation eta with dv = v x eta. If the
+third axis is an axis of symmetry, a motion turned about this axis is a motion too. A turn by the angle chi is denoted by R(chi).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from ...measure.tangent_runs import TangentArrays
 from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 
-SIZE = 6  # number of components of a change
-RADIANS = 0.3  # largest step times the frequency bound; errors of a period are then rounding errors
+SIZE = 6  # number of components of a change of a state
+RADIANS = 0.3  # largest step times the frequency bound; an integration then has only rounding errors
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -42,13 +42,13 @@ def turn(chi: float) -> Array:
 
 @cache
 def _schedule(lanes: int, steps: int) -> BlockSchedule:
-    """Return blocks of `lanes` lanes that have `steps` steps and one node each."""
+    """Return the blocks of `lanes` lanes. Each lane has `steps` steps and one node."""
     ones = np.ones(lanes, np.int64)
     return pack_blocks(steps * ones, ones)
 
 
 class Flow:
-    """Equations, integrals and symmetry of one body. Arrays of states are (states, N), arrays of changes (states, 6)."""
+    """Equations, integrals and symmetry of one body. Arrays of states are (states, components), arrays of their changes (states, 6)."""
 
     def __init__(self, system: Gyrostat, points: Points) -> None:
         self.system, self.equations, self.ensemble = system, system.equations, Ensemble.of(system, points)
@@ -116,7 +116,7 @@ class Flow:
         return np.hstack([derivative[:, :3] / self.rate, attitude])
 
     def symmetry(self, states: Array) -> Array:
-        """Return the derivatives of R(chi) y by chi at chi = 0; they are 0 for a body without symmetry."""
+        """Return the changes of `states` per angle in a turn about the axis of symmetry, or zeros for a body without symmetry."""
         if not self.symmetric:
             return np.zeros((len(states), SIZE))
         v, axis = self.vectors(states), np.array([0.0, 0.0, 1.0])
@@ -130,7 +130,7 @@ class Flow:
         return np.linalg.norm(slopes - shares[:, None] * along, axis=1)
 
     def turned(self, states: Array, chi: float) -> Array:
-        """Return R(chi) y for every state y."""
+        """Return `states` turned by the angle `chi` about the third axis."""
         return (self.vectors(states) @ turn(chi)[:3, :3].T).reshape(states.shape)
 
     def bound(self, state: Array) -> float:
@@ -152,7 +152,7 @@ class Flow:
         return state[:, ::SIZE].T.copy(), changes.reshape(SIZE, count, SIZE).transpose(1, 0, 2)
 
     def nodes(self, states: Array, time: float, bound: float, steps: int = 0) -> Array:
-        """Return the states at the start and after every step until `time`, (states, steps + 1, N)."""
+        """Return the states at the start and after every step until `time`, (states, steps + 1, components)."""
         count, steps = len(states), steps or _steps(time, bound)
         start = self.ensemble.subset(np.zeros(count, np.int64))
         start = replace(start, state=np.ascontiguousarray(states.T))

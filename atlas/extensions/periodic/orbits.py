@@ -1,10 +1,10 @@
 """Periodic motions by multiple shooting, and the small oscillations about steady motions from which families are born.
 
-A motion of period T and turn chi, y(T) = R(chi) y(0), is given by m states a time T/m apart. Newton's method solves for the states,
-T and chi. Each segment must end at the next state, and the momenta must be those of the family. Changes of all states must be
-orthogonal to the flow and to turns about an axis of symmetry; along the family, the arc length or the energy is given. There are
-more equations than unknowns since the integrals make some redundant. The square of the length of a step is the mean square of the
-changes of states, plus the squares of the changes of T (in periods of the birth) and of chi.
+A motion repeats after a period T up to a turn R(chi) by chi about the third axis, y(T) = R(chi) y(0). The motion is given by m states
+a time T/m apart. Newton's method solves for the states, T and chi. Each segment must end at the next state, and the momenta must be
+those of the family. The changes of all states together must be orthogonal to the flow and to turns about an axis of symmetry. Along
+the family, the arc length or the energy is given. The integrals make some equations redundant. The square of the length of a step is
+the mean square of the changes of states, plus the squares of the changes of T (in units of the period at the birth) and of chi.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ ROUNDING = 1e-6  # real or imaginary parts of exponents may be rounding errors i
 # Newton's method makes at most NEWTON steps and fails at a step above TOO_FAR. It has converged at a step below CONVERGED, or at a
 # step below STALLED that hardly shrinks any more.
 NEWTON, CONVERGED, STALLED, TOO_FAR = 8, 1e-12, 1e-9, 3.0
-# A nearly singular orbit is accepted if errors are below CLOSED and the step is below ROUNDED. A matrix is singular
+# A nearly singular orbit is accepted if residuals are below CLOSED and the step is below ROUNDED. A matrix is singular
 # if its QR factor has a diagonal element below SINGULAR times the largest.
 CLOSED, ROUNDED, SINGULAR = 1e-13, 1e-6, 1e-14
-# Multipliers above LARGE take digits from the others. The others are computed alone if they are smaller by the factor SEPARATE.
+# Multipliers above LARGE make the others inaccurate. The others are computed alone if they are smaller by the factor SEPARATE.
 LARGE, SEPARATE = 1e6, 1e4
 
 
@@ -44,14 +44,14 @@ class Orbit:
     period: float
     chi: float
     bound: float  # bound of the fastest frequency
-    tangent: Array  # unit vector along the family, (6 m + 2,)
+    tangent: Array  # unit vector along the family, with 6 changes of each state, then the changes of period and chi
 
 
 class Solution(NamedTuple):
     """A periodic motion that Newton's method has found."""
 
     orbit: Orbit
-    matrices: Array  # each maps changes at the start of a segment to changes at the end, (m, 6, 6)
+    matrices: Array  # each maps changes at the start of a segment to changes at the end, (segments, 6, 6)
     closing: float  # largest difference between the end of a segment and the next state
     iterations: int
     distance: float  # distance from the guess
@@ -64,7 +64,7 @@ def across(rows: Array) -> Array:
 
 
 class SteadyMotion:
-    """A steady motion y' = q G y, where q is `spin` and G is the derivative of R(chi) at chi = 0."""
+    """A steady motion. In the body, the vectors of the state turn about the third axis at the constant rate `spin`."""
 
     def __init__(self, flow: Flow) -> None:
         self.flow, self.state = flow, flow.start

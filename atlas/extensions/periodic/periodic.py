@@ -33,7 +33,7 @@ from .flow import Flow
 from .orbits import Family, SteadyMotion
 
 UNSTEADY = 1e-8  # largest `SteadyMotion.residual` of a steady motion, in units of its rates
-ON_CIRCLE = 1e-6  # distance from the unit circle to which rounding may move a multiplier
+ON_CIRCLE = 1e-6  # largest distance by which rounding may move a multiplier off the unit circle
 # Largest relative error of a given frequency, and largest distance of a ratio of frequencies from 1 or 2 at a resonance.
 NEAREST, RESONANT = 1e-3, 1e-8
 MAX_ORBITS = 10_000
@@ -101,7 +101,7 @@ def periodic(
         Frequency of the small oscillations about the motion, given to a relative error of 1e-3. An int is the position of the
         frequency, as in frequency_1, where 1 is the largest frequency. "all" selects every frequency.
     orbits : int
-        Largest number of orbits listed for a family. They are at equal numbers of steps from the birth to the end.
+        Largest number of orbits listed for a family. If more were computed, they are thinned evenly from the birth to the end.
     max_period : float
         A family is followed until its period exceeds `max_period` times the period at its birth.
     energy, above : float or sequence of float, optional
@@ -262,7 +262,7 @@ def _family_values(
 
 
 def slope_at_birth(family: Family, members: Sequence[Member]) -> float:
-    """Return dT/dh at amplitude 0, extrapolated from the first orbits (T: period, h: energy)."""
+    """Return d period / d energy at amplitude 0, extrapolated from the first orbits."""
     above = np.array([each.energy - family.birth_energy for each in members[:BIRTHS]])
     if len(above) < BIRTHS or not np.abs(above).min() > 0:
         return np.nan
@@ -302,7 +302,7 @@ def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
 
 
 def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:
-    """Return the start values of `states` by name; psi0 is 0 if the states have gamma alone."""
+    """Return the start values of `states` by name. If the states contain gamma but not alpha, psi0 is 0."""
     if not len(states):
         return {name: states[:, 0] for name in STARTS}
     gamma = states[:, -3:]

@@ -13,7 +13,7 @@ from ...systems.base import Array
 
 
 class EllipticFunctions(NamedTuple):
-    """Sequences of the arithmetic-geometric mean of 1 and k', with an array (points,) for each level."""
+    """Sequences of the arithmetic-geometric mean of 1 and sqrt(1 - k^2), with an array (points,) for each level."""
 
     a: list[Array]
     b: list[Array]
@@ -21,7 +21,7 @@ class EllipticFunctions(NamedTuple):
 
     @classmethod
     def of(cls, modulus: Array, complement: Array) -> EllipticFunctions:
-        """Return the sequences for k^2 = modulus and 1 - k^2 = complement."""
+        """Return the sequences for the elliptic modulus k. `modulus` is k^2, and `complement` is 1 - k^2."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
         while (unequal := c[-1] > 1e-9 * a[-1]).any():
             # The means of a point stay the same after convergence, so that their bits do not depend on other points.
@@ -32,7 +32,7 @@ class EllipticFunctions(NamedTuple):
         return cls(a, b, c)
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
-        """Return sn, cn and dn at u = 4 K turns."""
+        """Return sn, cn and dn at u = 4 K `turns`, with the quarter period K."""
         sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones_like(turns)
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             ratio = c / a
@@ -42,7 +42,7 @@ class EllipticFunctions(NamedTuple):
         return sn, cn, dn
 
     def periodic(self, turns: Array) -> tuple[Array, Array]:
-        """Return am(u) - 2 pi turns and Jacobi's Z(u) at u = 4 K turns."""
+        """Return am(u) - 2 pi `turns` and Jacobi's zeta function Z(u) at u = 4 K `turns`, with the quarter period K."""
         level = len(self.a) - 1
         phase = 2 * np.pi * 2.0**level * (turns - np.round(turns))
         amplitude, zeta = np.zeros_like(phase), np.zeros_like(phase)

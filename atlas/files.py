@@ -257,7 +257,7 @@ def disk_error(error: Exception, path: Path) -> OSError:
 
 
 def check_name(path: Path, inside: str = "") -> None:
-    """Raise BadInput if `path`, or the path of a file `inside` this folder, is too long for the file system."""
+    """Raise BadInput if `path`, or the path of a file `inside` the folder `path`, is too long for the file system."""
     for each in (path, path / inside):
         try:
             os.lstat(each)

@@ -32,7 +32,7 @@ class Label(Flag):
     UNRESOLVED = 4, "not decided: see status"
 
 
-# Variables with values of `Label`, for the third axis in the system's frame and in inertial space, then for any axis in both.
+# Variables with values of `Label`. Two are for the third axis and two for any axis, in the system's frame and in inertial space.
 LABELS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial")
 
 
@@ -223,5 +223,5 @@ def owner_of_family(name: str) -> str:
 
 
 def reserved_families(system: str) -> dict[str, str]:
-    """Return the motion of each family that is reserved for extensions of a system, in the order of the families' flags."""
+    """Return a description of each family that is reserved for extensions of a system, by name, in the order of the families' flags."""
     return _RESERVED_FAMILIES.get(system, {})

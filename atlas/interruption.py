@@ -100,7 +100,8 @@ def start_deadline() -> None:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))  # no deadline in a child
+    # Otherwise a signal to a child process would start the deadline of this process.
+    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
 
     def wait() -> None:
         while (number := os.read(reading, 1)[0]) not in SIGNALS:

@@ -61,8 +61,8 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
 def with_frame_vector(equations: ModuleType) -> ModuleType:
     """Return the equations with a function `axis_in_frame`. Equations without a frame are returned unchanged.
 
-    If the function is missing, three additional states a hold the first axis of the frame in body axes. They obey a' = a x u
-    with the angular velocity u from ``frame_motion``. Unlike psi, these states are regular everywhere.
+    If the function is missing, three states are added. They are the components of the frame's first axis a in body axes, so that
+    a' = a x u with the angular velocity u from ``frame_motion``. Unlike psi, these states are regular everywhere.
     """
     sources = arithmetic.functions(equations)
     if "axis_in_frame" in sources or "frame_motion" not in sources:
@@ -102,7 +102,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """Return functions with new states, whose units contain `powers` of a rate. A first integral gets its loss as another term."""
+    """Return functions with new states. `scaled` multiplies new state i by h^powers[i]. A first integral gets its loss as another term."""
     scaled, unscaled = sources["scaled"], sources["unscaled"]
     extended = {}
     for name, text in sources.items():
@@ -152,7 +152,7 @@ def rotates(equations: ModuleType) -> bool:
 
 
 def own_components(equations: ModuleType) -> list[int]:
-    """Return the indices of the states that have a component in the tangent vector. A rotation replaces the other states."""
+    """Return the indices of the states whose changes are components of the tangent vector. A rotation stands for the other changes."""
     rotated = (
         {name for vector in frame_vectors(equations) for name in vector} if rotates(equations) else set()
     )

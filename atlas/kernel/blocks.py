@@ -34,8 +34,8 @@ class BlockSchedule(NamedTuple):
     """Blocks of points with equal numbers of steps and nodes."""
 
     points: Counts  # indices of points, (blocks, WIDTH); the last point fills an incomplete block
-    steps: Counts  # `StepSizes.steps` of the points, (blocks,)
-    steps_per_sample: Counts  # `StepSizes.steps_per_sample` of the points, (blocks,)
+    steps: Counts  # `StepSizes.steps` of the points of each block, (blocks,)
+    steps_per_sample: Counts  # `StepSizes.steps_per_sample` of the points of each block, (blocks,)
 
     @property
     def point_steps(self) -> int:
@@ -109,7 +109,7 @@ class Threads:
     progress: Callable[[float], None] = lambda work: None
 
     def scaled(self, factor: float) -> Threads:
-        """Return the same threads with `progress` called with `factor` times the work."""
+        """Return the same threads, which report `factor` times the work to `progress`."""
         return Threads(self.count, lambda work: self.progress(factor * work))
 
 

@@ -92,7 +92,7 @@ class Ensemble:
             return start.with_given(system, points, plugs)
 
     def with_given(self, system: System, points: Points, plugs: Sequence[Plug]) -> Ensemble:
-        """Return the ensemble with the constants of instruments whose sums begin at `state`."""
+        """Return the ensemble with the constants of the instruments `plugs`, which measure the motion from `state` on."""
         given = [plug.constants(system, points, self) for plug in plugs]
         return replace(self, given=np.concatenate([np.empty((0, self.size)), *given]))
 

@@ -323,7 +323,7 @@ def queue_passages(
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
-    """Return 1.0 if zeta may have a zero near an interval, else 0.0, and the place of the zero.
+    """Return 1.0 if zeta = g1 + i g2 may have a zero near an interval, else 0.0, and the place of the zero.
 
     See `poles.turns_near_vertical`. At an end of a run near the vertical, a zero may exist although sin^2 theta has no minimum.
     """
@@ -425,7 +425,7 @@ def zeros(passages, terms, farther, count):
 
 
 def collect_farther(passages, farther, places, count):
-    """Copy into `farther` all passages whose farther zero may be near. Return the number rounded up to a multiple of 8."""
+    """Copy into `farther` the passages whose second zero may count too. Return the number of passages, rounded up to a multiple of 8."""
     number = 0
     for e in range(count):
         if passages[Passage.FARTHER, e] > 0.0:

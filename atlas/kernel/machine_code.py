@@ -133,7 +133,7 @@ def settings() -> dict[str, str]:
 
 
 def numeric_settings() -> dict[str, str]:
-    """Return the settings that change the results of kernels, by name. `architecture` records fused multiply-add."""
+    """Return the settings that change the results of kernels, by name. `architecture` records the effect of the processor's settings."""
     return {name: value for name, value in settings().items() if name not in PROCESSOR_SETTINGS}
 
 
@@ -345,12 +345,12 @@ class _MachineCode(NullCache):
 
 
 def _with_hash(key: bytes, payload: bytes) -> bytes:
-    """Return the payload after a hash that reveals damage and a wrong key."""
+    """Return a hash that reveals damage and a wrong key, followed by the payload."""
     return hashlib.sha256(key + payload).digest() + payload
 
 
 def _remove(path: Path) -> None:
-    """Remove a file of the cache, or a folder in place of the file."""
+    """Remove a file or a folder of the cache."""
     with suppress(OSError):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)

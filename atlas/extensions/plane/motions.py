@@ -38,7 +38,7 @@ class _Steps(NamedTuple):
 
     shortest: float  # length of the shortest steps times the norm of the matrix of the linear equations
     counts: tuple[int, ...]  # numbers of steps, divided by the least number
-    most: int  # motions whose least number of steps is larger get nan
+    most: int  # upper limit of the least number of steps; if more are needed, `multiplier_sums` is nan
 
     def weights(self) -> Array:
         """Return the weights of the sums in two extrapolations, one with all numbers of steps, and one without the least number."""
@@ -49,13 +49,14 @@ class _Steps(NamedTuple):
         return result
 
 
-# The errors of the sums are about 1e-7 with _ROUGH and 1e-15 with _FINE.
+# The errors of `multiplier_sums` are about 1e-7 with _ROUGH and 1e-15 with _FINE.
 _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
 _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
 _TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
-_CHANGE = 3.2  # bound of the ratio of a sum's error to the sum's change without the longest steps; measured ratios are at most 0.3
+# A sum changes if the longest steps are left out. The error of the sum is at most _CHANGE times the change (measured: 0.3 times).
+_CHANGE = 3.2
 # With R and H of the module's text, R H^-1 R is H^T with exchanged halves of rows and of columns, times these signs.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
@@ -64,12 +65,12 @@ class PlaneMotions(NamedTuple):
     """Motions of bodies in the plane, as arrays (points,). The units of moments and of rates are powers of 2."""
 
     unit: Array  # unit of rates
-    low: Array  # A, the moment about the axis that is along alpha at x = 0
-    high: Array  # B, the other moment across e3
-    axial: Array  # C
+    low: Array  # A, the moment about the axis that is along alpha at the pitch x = 0
+    high: Array  # B, the moment about the axis that is normal to alpha and e3 at x = 0
+    axial: Array  # C, the moment about the third axis e3
     rotor: Array
     gradient: Array
-    field: Array  # h
+    field: Array  # h, the component of the field along the vertical gamma
     frame: Array  # angular velocity along e3 of a body at rest in the frame
     symmetric: Mask  # whether the first or second axis is an axis of symmetry, so that two multipliers are 1
     rotates: Mask
@@ -77,9 +78,9 @@ class PlaneMotions(NamedTuple):
     modulus: Array  # k^2
     complement: Array  # 1 - k^2, which is 0 on the separatrix
     rounding: Array  # relative rounding error of 1 - k^2
-    sine: Array  # sin x, cos x and x' at the start
-    cosine: Array
-    start_rate: Array
+    sine: Array  # sine of the pitch x at the start
+    cosine: Array  # cosine of the pitch x at the start
+    start_rate: Array  # rate x' of the pitch at the start
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array) -> PlaneMotions:
@@ -128,7 +129,7 @@ class PlaneMotions(NamedTuple):
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:
-        """Return x without its mean rotation, x' / f, and Jacobi's zeta function, at times `turns` in periods after x = 0."""
+        """Return x without its mean rotation, x' divided by `frequency`, and Jacobi's zeta function, `turns` periods after x = 0."""
         (sn, cn, dn), (amplitude, zeta) = self.mean.functions(turns), self.mean.periodic(turns)
         k = np.sqrt(self.modulus)
         angle = np.where(self.rotates, amplitude, np.arctan2(k * sn, dn))
@@ -147,7 +148,7 @@ class PlaneMotions(NamedTuple):
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))
-        # `square` is the mean of x'^2 over whole periods. `slope` and `ends` are what the ends add to the means of x' and x'^2.
+        # `square` is the variance of x' over whole periods. A part of a period adds `slope` to the mean of x', and `ends` to that of x'^2.
         square = np.where(self.rotates, mean.squares(1.5), 0.5 * self.modulus + mean.squares(0.0)) * f**2
         slope, ends = (angles[1] - angles[0]) / span, f * (zeta[1] - zeta[0]) / span
         variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2
@@ -156,8 +157,8 @@ class PlaneMotions(NamedTuple):
     def stability(self, rough: bool = False) -> tuple[Flags, Array]:
         """Return stability out of the plane and growth rates. With `rough`, multipliers far from borders have errors of up to 1e-7.
 
-        The roots rho = multiplier + 1/multiplier of rho^2 - t rho + u - 2 = 0 are real and between -2 and 2 if and only if
-        t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
+        Let t be the sum of the multipliers, and u the sum of the products of two multipliers. The sums rho = multiplier + 1/multiplier obey
+        rho^2 - t rho + u - 2 = 0. All rho are real and in (-2, 2) if and only if t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
         # As in `multipliers`, fine sums give the verdicts near borders and, unless `rough`, all growth rates.
@@ -196,7 +197,7 @@ class PlaneMotions(NamedTuple):
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
     def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
-        """Return t and s as in `multipliers`, scaled where they could overflow, and the logarithm of the scale."""
+        """Return t / c and s / c^2 for t and s of `multipliers`, and log(c). The scale c is 1 unless t or s could overflow."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
         # The sum rho = multiplier + 1/multiplier of half a turn becomes rho^2 - 2 for the whole turn.
@@ -204,9 +205,10 @@ class PlaneMotions(NamedTuple):
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """Return t / c, u / c^2, log(c), and how much t / c and u / c^2 change without the longest steps, (5, points), or nan.
+        """Return t / c, u / c^2, log(c) and two changes, (5, points). All are nan near the separatrix and if too many steps are needed.
 
-        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and c a scale.
+        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and c a scale. The changes
+        are those of t / c and u / c^2 if the longest steps are left out.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))

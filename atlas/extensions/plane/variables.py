@@ -14,7 +14,7 @@ _CHUNK = 4096  # number of points whose multipliers are computed between two pau
 
 
 def variables(system: System) -> dict[str, DerivedVariable]:
-    """Return period and multipliers of motions of the satellite in the plane as variables, nan for other motions."""
+    """Return variables for the period and the multipliers of a satellite's motions in the plane of the orbit. Other motions have nan."""
     if system.name != "satellite":
         return {}
     from ...systems.satellite import SATELLITE  # only the satellite needs this

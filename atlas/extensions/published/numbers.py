@@ -49,7 +49,7 @@ def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, 
     row |= {"computation": f"{take} {output} of {function}{where}", "arguments": arguments}
     try:
         result = result_of(function, arguments)
-    except (BadInput, AttributeError) as refusal:  # an extension is missing
+    except (BadInput, AttributeError) as refusal:  # the extension with the function is not installed
         return row | {"verdict": f"not computed: {one_line(refusal)}"}
     values = np.asarray(result[output])
     if flag:

@@ -27,7 +27,7 @@ NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, i
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
 NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory, of all motions and of one motion
 # A cubic nearly touches 0 if |extremum| in the middle is below TOUCHING times the larger |value| at an end. The limit is lower near
-# the ends, where the cubic is exact. If a motion is twice as fast as the bound, the error of a cubic is a third of the limit.
+# the ends, where the cubic is exact. If a motion is twice as fast as its frequency bound, the error of a cubic is a third of the limit.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
 # Newton's method stops when a step is below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end.
@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # The generic change of STAYS has a different share for each component, because equal shares would not turn a vector.
+        # The generic change multiplies each component of a state by another factor, because equal factors would not turn a unit vector.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -132,7 +132,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """Return, for cubics on [0, 1], where an extremum comes nearest to 0, whether to cut the piece there, and an approximate zero."""
+    """For cubics on [0, 1], return the place of the extremum whose value is nearest to 0, whether to cut there, and an approximate zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])

@@ -65,7 +65,7 @@ def section(
     at : str
         Two expressions with = between them, then "rising" (default), "falling" or "either". The surface "psi_dot = 0 rising" is
         crossed where left minus right becomes positive. Names are states, constants and observables of the system. For a body the
-        names include theta, psi and phi (only alone on the left), theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z.
+        names include theta, theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z. psi and phi must stand alone on the left.
     keep : sequence of str, optional
         Expressions whose values at the crossings are kept. The default is the observables, or for a body theta, phi,
         theta_dot and psi_dot.
@@ -95,9 +95,9 @@ def section(
 
     Notes
     -----
-    A start on the surface is no crossing. A passage of the vertical by the third axis hides no crossing, unless `at` has products or
-    powers of psi_dot and phi_dot. Errors of chaotic motions grow exponentially. Beyond 1e-3 single crossings mean nothing, but the
-    distribution of crossings does.
+    A start on the surface is no crossing. Crossings may be lost where the third axis passes near the vertical, but only if `at`
+    has products or powers of psi_dot and phi_dot. Errors of chaotic motions grow exponentially. A single crossing with an error
+    above 1e-3 means nothing, but the distribution of crossings remains meaningful.
     """
     description, every = systems.get(system), systems.get(system).parameters
     surface, settings = Surface(description, at), Settings(method=method, tolerance=tolerance)
@@ -181,7 +181,7 @@ def section(
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
-    """For each first integral that stays constant, return the range of the values at the starts, divided by the largest size."""
+    """Return the range of the values at the starts for each constant first integral, divided by the largest size in `integral_scales`."""
     equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)

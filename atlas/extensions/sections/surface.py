@@ -92,7 +92,7 @@ class Surface:
                 f'{key}: psi and phi jump by a turn; allowed: one of them alone, as in "{min(jumping)} = 0", or sines and'
                 " cosines by axis_x, axis_y and states"
             )
-        # Near the vertical theta' changes sign, psi' and phi' have peaks, and theta a minimum. sin(theta)^power removes these.
+        # Near the vertical theta' changes sign, psi' and phi' peak, and theta is least. A factor sin(theta)^power smooths the function.
         steep = self.names & STEEP if system.frame else set()
         self.power = 0 if not steep else 1 if steep == {"theta_dot"} else 2
 

@@ -1,4 +1,4 @@
-"""Stiff and extreme points of both gyrostats. Omega is 1 for satellites unless another value is given."""
+"""Stiff and extreme points of satellites and of gyrostats about a fixed point. Satellites have Omega = 1 unless a case gives another."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def convergence(
 
 
 def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
-    """Return the scene with a setting multiplied by `factor`. If the scene gives the step, the step replaces the tolerance."""
+    """Return the scene with a setting multiplied by `factor`. In scenes with a step, the step is multiplied instead of the tolerance."""
     if name in ("duration", "transient"):
         length = getattr(scene, name)
         return replace(scene, **{name: replace(length, amount=_times(factor, length.amount))})
@@ -105,12 +105,11 @@ def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
 
 
 def _times(factor: float, amount: float | str) -> float | str:
-    """Return a number or an expression, multiplied by `factor`."""
     return f"{factor!r} * ({amount})" if isinstance(amount, str) else factor * amount
 
 
 def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row of HEAD for each flag, setting and factor, with the number of changed points and the most frequent changes."""
+    """Return a row with the columns HEAD for each flag, setting and factor. The last column has the three most frequent changes."""
     result = list[tuple[str, ...]]()
     for name in VARIED:
         for flag in (flag for flag in FLAGS if f"{flag}_of_{name}" in ds):

@@ -16,7 +16,7 @@ from scipy.special import ellipkm1, elliprf
 from ...systems.base import Array, Points, System
 from ..plane.elliptic import EllipticFunctions
 
-FOURIER_SAMPLES = 1024  # samples of the precession of a free body, over one period
+FOURIER_SAMPLES = 1024  # number of samples in one period of the precession of a free body
 
 
 class EulerMotion(NamedTuple):
@@ -59,15 +59,15 @@ def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
 
 
 class SymmetricTop:
-    """Heavy symmetric gyrostat about a fixed point, not in a steady motion. Jacobi's functions give cos theta, and so psi' and phi'.
+    """Heavy symmetric gyrostat about a fixed point in a motion that is not steady. Jacobi's functions give cos theta, psi' and phi'.
 
-    With u = cos theta and the constants a = (C r + l) / A and b = (angular momentum about the vertical) / A,
+    The potential is -weight cos theta. Let u = cos theta, and let r be the angular velocity about the axis of symmetry, l the rotor,
+    a = (C r + l) / A, b = (angular momentum about the vertical) / A and beta = 2 weight / A. With a constant e from the energy,
 
-        u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u
+        u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u.
 
-    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). 1 - u and 1 + u are computed without
-    cancellation near the vertical. The potential is -weight cos theta. n and m are psi' and phi' at the start, and psi' is relative
-    to a frame that turns at `frame_rate`. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
+    Then u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). 1 - u and 1 + u have no cancellation. Starts and
+    results have psi' relative to a frame that turns at `frame_rate`. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
     """
 
     def __init__(
@@ -130,7 +130,6 @@ class SymmetricTop:
         self.complement = min((beta * y + third) / square, 1.0)
 
     def __call__(self, time: Array) -> EulerMotion:
-        """Return angles and rates at the times."""
         sn, cn, dn = jacobi(self.frequency * np.asarray(time, float) + self.phase, self.complement)
         x, y = self.x + self.width * sn**2, self.y + self.width * cn**2
         slope = 2 * self.width * self.frequency * sn * cn * dn
@@ -152,13 +151,14 @@ class FreeGyrostat:
     """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot, not in a steady motion.
 
     The rotor's axis is the third axis, and the moments across it must differ. Energy and magnitude of the angular momentum give
-    A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of f
+    A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of f and Weierstrass'
+    function P, which is computed by Jacobi's functions,
 
-        r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
+        r = s + f'(s) / 4 / (P(t) - f''(s) / 24).
 
-    where P is Weierstrass' function, computed by Jacobi's functions. The body turns about the fixed angular momentum at a rate that is
-    a periodic function of r alone. The Fourier series of this rate is integrated term by term. psi' is relative to a frame that turns at
-    `frame_rate`. V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
+    The body turns about the fixed angular momentum at a rate that is a periodic function of r alone. The Fourier series of this rate is
+    integrated term by term. psi' is relative to a frame that turns at `frame_rate`. V. Volterra, Acta Math. 22 (1899) 201-357;
+    E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
 
     def __init__(self, inertia: Array, rotor: Array, w: Array, gamma: Array, frame_rate: float = 0.0):
@@ -193,7 +193,7 @@ class FreeGyrostat:
         self.components = [float(gamma @ vector[:, 0]) for vector in (axis, node, across)]
 
     def _find_roots(self, r: float) -> None:
-        """Find the root s nearest to r, and Weierstrass' e1, e2 and e3 from the other three roots."""
+        """Find the root s of the quartic f nearest to r, and Weierstrass' e1, e2 and e3 from the other three roots of f."""
         A, B, C = self.inertia
         l, L2, E2 = self.rotor, self.momentum**2, self.energy
         quadratics = [
@@ -220,12 +220,12 @@ class FreeGyrostat:
             self.roots_real, self.scale, self.shift = False, abs(e2 - pair), e2 - self.a2 / 2
             self.complement = float(0.5 + 0.75 * e2 / self.scale)
             self.frequency = float(2 * np.sqrt(self.scale))
-        # r returns after 2 K if all roots are real, else after 4 K.
+        # A period of r = w3 is 2 K / frequency if all roots of the quartic f are real, else 4 K / frequency.
         quarters = 2 if self.roots_real else 4
         self.turn = quarters * float(ellipkm1(self.complement)) / self.frequency
 
     def _find_phase(self, w: Array) -> None:
-        """Find the phase of the start, and the initial sign of the component, w1 or w2, that does not vanish at the root s."""
+        """Find the phase of the start. Of w1 and w2, one vanishes at the root s of f. Find the initial sign of the other component."""
         A, B, C = self.inertia
         # The slope gives sn, so that the phase is exact at a turning point of r.
         distance, slope = float(w[2] - self.root), float((A - B) * w[0] * w[1] / C)
@@ -284,7 +284,6 @@ class FreeGyrostat:
         return axis, cosine * node - sine * across, sine * node + cosine * across
 
     def __call__(self, time: Array) -> EulerMotion:
-        """Return angles and rates at the times."""
         time = np.asarray(time, float)
         w = self.velocity(time.ravel())
         fixed = self._directions(time.ravel(), w)
@@ -347,7 +346,7 @@ QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 
 
 def statistics(motion: Motion, duration: float, cylinder: float | None = None) -> dict[str, float]:
-    """Return exact statistics over [0, duration], also for parts of periods. psi' and phi' on the vertical give nan."""
+    """Return exact statistics over [0, duration], which may end within a period. Statistics of psi' and phi' are nan on the vertical."""
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
@@ -361,7 +360,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
         is_low = motion(middle).cos_theta_dot * sign > 0
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     theta = motion(np.concatenate([nodes[[0, -1]], 0.5 * (low + high)])).theta
-    if turns:  # Whole periods have equal integrals. The rest of the run follows.
+    if turns:  # All whole periods have equal integrals. The last part of a period is integrated separately.
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
     result = moments(motion(time), weight / duration, cylinder)
@@ -389,7 +388,7 @@ def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
         halves = np.sort(np.concatenate([edges, middle]))
         whole, parts = _integrals(motion, edges), _integrals(motion, halves)
         parts = parts[:, ::2] + parts[:, 1::2]
-        # Errors are relative to the fastest rate. A standard deviation of 1e-6 times this rate is still accurate.
+        # The fastest rate is the scale of the rates. Squares have a smaller scale, for standard deviations down to 1e-6 of this rate.
         scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
         scale[:4] = motion.rate * duration
         bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)

@@ -86,7 +86,7 @@ def stress_figure(ds: xr.Dataset) -> Figure:
 
 
 def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray) -> None:
-    """Draw the verdicts and marks of one method at some levels. `edges` are the edges of the points along the y axis."""
+    """Draw the verdicts and marks of one method at some levels. `edges` are the edges of the points' cells along the y axis."""
     verdict, error = ds["verdict"].values.T, ds["error"].values.T
     colours = ListedColormap([VERDICT_COLOURS[flag] for flag in Verdict])
     columns = np.arange(verdict.shape[1] + 1)

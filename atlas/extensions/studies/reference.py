@@ -33,7 +33,7 @@ LEAST_UNCERTAINTY = 1e-15
 EXACT_RESIDUAL = 1e-14
 # A run whose duration times frequency bound, in rad, exceeds this value would take DOP853 too long.
 MAX_RADIANS = 1e5
-# Points are integrated as one system if the lengths of the runs, in rad, differ by at most this factor.
+# Points are integrated as one system if the products of duration and frequency bound differ by at most this factor.
 GROUP_FACTOR = 2.0
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
@@ -332,7 +332,7 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    if periods is not None:  # strobed observables are evaluated only where a period of the point ends
+    if periods is not None:  # observables measured once a period have values only at the ends of periods
         times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
         place = times * periods[:, None]
         path = solve_ivp(
@@ -353,7 +353,7 @@ def integrate_observed_group(
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
     """Return the extremes, along the last axis, of cubics between instants at unit distance."""
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
-    # The cubic is value + left x + b x^2 + c x^3 for 0 <= x <= 1. It has one extremum inside if left and right differ in sign.
+    # On 0 <= x <= 1 the cubic is value + left x + b x^2 + c x^3. It has an extremum inside if the end slopes left and right differ in sign.
     b, c = 3 * rise - 2 * left - right, left + right - 2 * rise
     root = np.sqrt(np.maximum(b**2 - 3 * left * c, 0.0))
     x = -left / (b + np.where(left > 0, -root, root))

@@ -116,7 +116,7 @@ def _run_levels(
     grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration, rate_tolerance)
 
     def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
-        """Run a method at a level for the points that need at most MAX_STEPS steps. A fixed step must be positive."""
+        """Run a method at a level for points that need at most MAX_STEPS steps or overflow. Points whose fixed step is 0 are left out."""
         where = np.arange(duration.size) if step is None else np.flatnonzero(step > 0)
         tile = replace(grid, step=step).subset(where)
         with np.errstate(all="ignore"):

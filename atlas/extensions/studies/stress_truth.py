@@ -152,7 +152,7 @@ def true_labels(system: System, part: CasePoints, settings: RunSettings) -> True
 
 
 def no_statistics(size: int) -> Array:
-    """Return statistics of `size` points that follow no exact motion, all NaN."""
+    """Return NaN for every statistic of `size` points, which follow no exact motion."""
     return np.full((len(EXACT_STATISTICS), size), np.nan)
 
 
@@ -201,7 +201,7 @@ def _departures(
     rhs, size, wide = system.equations.rhs, np.abs(offset).max(0), tuple(constants[:, None])
 
     def slope(_: float, flat: Array) -> Array:
-        """Return d' times the duration."""
+        """Return the derivative of the departure d by t / duration."""
         d = flat.reshape(rest.shape)
         states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call is cheaper than three
         tangent, ahead, behind = np.moveaxis(np.array(rhs(states, wide)), 1, 0)

@@ -503,7 +503,6 @@ def advice(ds: xr.Dataset) -> str:
 
 
 def _median_error(row: Mapping[str, Any]) -> float:
-    """Return the larger of the median errors of states and rates."""
     return max(row["error_state"], row["error_rates"])
 
 
@@ -527,7 +526,7 @@ def _cheapest_text(
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _points_above(ds, row, target)
-    if above and name == "tolerance":  # in ladders of steps, half of the points may exceed the target
+    if above and name == "tolerance":  # else the target is a median error, which half of the points exceed
         text += f"; {above} of {ds.sizes['sample']} points have larger errors, the largest at {names}"
         uncertain = np.fmax(ds["reference_error"].values, ds["reference_error_rates"].values) > target
         if uncertain.any():

@@ -40,7 +40,7 @@ def equations(state, accelerations, constants):
     a1, a2, a3 = cp * cf - c * sf * sp, -cp * sf - c * cf * sp, s * sp
     b1, b2, b3 = sp * cf + c * sf * cp, -sp * sf + c * cf * cp, -s * cp
     g1, g2, g3 = s * sf, s * cf, c
-    # V is the potential in (3). A change of psi changes alpha by -beta; a change of theta turns alpha and gamma about the node.
+    # V is the potential in (3). The derivative of alpha by psi is -beta. A change of theta turns alpha and gamma about the node.
     gravity = 3 * Omega * Omega
     V_psi = -gravity * (A * a1 * b1 + B * a2 * b2 + C * a3 * b3) - h1 * (mu1 * b1 + mu2 * b2 + mu3 * b3)
     V_theta = gravity * sp * (s * (A * sf * a1 + B * cf * a2) + C * c * a3)

@@ -268,7 +268,7 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the largest |f^4 - P f^2 + Q| for the frequencies f of the normal form of a random motion."""
+    """Return the largest |f^4 - P f^2 + Q| for the frequencies f of the normal form of a random motion. `entry` gives P and Q."""
     from ..normal_form.nonlinear import NormalForm, derivatives  # this extension may be missing
 
     p = with_values(random_point(rng), entry["normal_form"])

@@ -2,8 +2,8 @@
 
 The frequency of the Jacobian at the start (`systems.jacobian`) is often too low, because a motion may begin slowly. A
 preliminary run with the longest possible steps therefore samples the frequency. If the frequency grows, the run is repeated
-with a larger bound. The Jacobian does not show the frequency of a forcing, because time is a state of constant rate; derivatives
-of the states along the run do. The result of a point does not depend on other points.
+with a larger bound. The Jacobian does not show the frequency of a forcing, because time is a state of constant rate. The derivatives
+of the states along the run show this frequency. The result of a point does not depend on other points.
 """
 
 from __future__ import annotations
@@ -116,13 +116,13 @@ def _largest_frequency(
     longest_step: Array,
     threads: Threads,
 ) -> Array:
-    """Return the largest frequency up to the first sample that exceeds the bound, or inf after an overflow."""
+    """Return the largest frequency of each motion up to the first sample whose frequency exceeds the bound, or inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
     # A state whose rate depends on no state is time. If no state is time, the Jacobian shows every frequency. The derivatives are
     # then ignored, because on steady motions they are rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
-    sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitude of each state and derivative
+    sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitudes of states and first three derivatives
     samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
     steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
     mean_step_size, distances = duration / (samples * steps), _distances(samples.max())
@@ -145,7 +145,7 @@ def _largest_frequency(
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
         sampled = n_samples + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
-        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # samples up to the first that exceeds the bound
+        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # up to the first frequency above the bound
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
         derivatives = np.fmax.reduce(np.where(sampled, derivatives, 0.0), axis=2)
         sizes[:, :, active] = np.fmax(sizes[:, :, active], derivatives)

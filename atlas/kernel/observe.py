@@ -43,7 +43,7 @@ CHANGE_ROUNDING = 1e-14
 
 
 class Field(IntEnum):
-    """Rows of an observable. ROUGHNESS is the largest distance of a node from the cubic through the two neighbouring nodes."""
+    """Rows of the sums of an observable. ROUGHNESS is the largest distance of a node from the cubic through the nodes before and after."""
 
     START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS = range(7)
 

@@ -27,9 +27,9 @@ class Passage(IntEnum):
     """Rows of a passage near the vertical. Each of the first six members begins four rows, one for each node."""
 
     G1, G1_SLOPE, G2, G2_SLOPE, U3, U3_SLOPE = range(0, 24, 4)
-    TIME = 24  # real instant near the zeros, relative to the first of the four nodes
-    Z_REAL, Z_IMAG = range(25, 27)  # approximate zero of zeta, relative to the first of the four nodes
-    FARTHER = 27  # 1.0 if the farther zero may be near as well, else 0.0
+    TIME = 24  # real instant near the zeros of zeta, relative to the first of the four nodes
+    Z_REAL, Z_IMAG = range(25, 27)  # approximate zero z of zeta, relative to the first of the four nodes
+    FARTHER = 27  # 1.0 if the farther zero of zeta may be near as well, else 0.0
     VERTICAL = 28  # the sign of g3
     PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # subtracted from psi' and phi' in the sums
 
@@ -40,9 +40,9 @@ PASSAGE_ROWS = max(Passage) + 1
 class Term(IntEnum):
     """Rows of the result of `pole_terms`. THETA, PSI and PHI are coefficients of 1 / (t - z) in the squares of the rates."""
 
-    Z_REAL, Z_IMAG = range(2)  # complex time of the zero, relative to the first of the four nodes
-    CHANGE = 2  # squared distance by which the last step moved the zero
-    SIN2_THETA = 3  # sin^2 theta at the real part of the zero
+    Z_REAL, Z_IMAG = range(2)  # complex time z of the zero of zeta, relative to the first of the four nodes
+    CHANGE = 2  # squared distance by which the last step moved z
+    SIN2_THETA = 3  # sin^2 theta at the real part of z
     THETA_REAL, THETA_IMAG, PSI_REAL, PSI_IMAG, PHI_REAL, PHI_IMAG = range(4, 10)
     # Differences between sums and integrals of the rates, see `sum_errors`.
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
@@ -112,7 +112,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero, Laurent coefficients and errors of passage e into terms[farther]. `passages` holds divided differences."""
+    """Write the zero z of zeta, Laurent coefficients and errors for passage e into terms[farther]. `passages` holds divided differences."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)

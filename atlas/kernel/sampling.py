@@ -15,18 +15,19 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-# tau(t) = t + CLUSTERING log(1 - exp(-p)), where p = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Every singularity beyond an
-# end lies at least CLUSTERING pi / 2 from the real tau axis and causes an error of at most about exp(-pi^2 CLUSTERING).
+# At t intervals from an end of a run, the variable of integration is tau(t) = t + CLUSTERING log(1 - exp(-p)), where
+# p = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. A singularity of a rate beyond the end lies CLUSTERING pi / 2 or more from
+# the real tau axis and causes an error of at most about exp(-pi^2 CLUSTERING).
 CLUSTERING = 2.25
 SQUARE, FOURTH = 5.0, 9.0
-# tau(t) differs from t in the first and last END intervals of a run, which do not overlap if a run has LONG intervals or more.
+# Samples crowd in the first and the last END intervals of a run. These parts do not overlap if the run has LONG intervals or more.
 END = 18
 LONG = 2 * END
 # Coefficients B_2k / (2k)! of the derivatives of order 1, 3, 5 and 7 in the Euler-Maclaurin formula.
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 # A run has at least three intervals, because the motion is interpolated between four nodes.
 MIN_INTERVALS = 3
-# The first sample is about this far from an end of a run. The weight of the end itself covers this distance.
+# Approximate distance, in intervals, of the first sample from an end of a run. The node at the end has the weight of this gap.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
@@ -52,7 +53,7 @@ def rule_position(i, intervals):
 class Quadrature(NamedTuple):
     """Quadrature rules of runs, indexed by the number of intervals. The last rule is for LONG intervals and more."""
 
-    node_weights: NDArray[np.float64]  # weight of each node (see `rule_position`), (LONG + 1, LONG + 1)
+    node_weights: NDArray[np.float64]  # weights by the number of intervals and by the node's `rule_position`
     # In a run of n intervals, the samples from first_sample[n, i] up to first_sample[n, i + 1] - 1 lie between nodes i and i + 1.
     first_sample: NDArray[np.int64]
     samples: NDArray[np.float64]  # weight of each sample, then the sample's `hermite_weights`, (samples, 9)
@@ -109,14 +110,14 @@ def _from_both_ends(
 
 
 def stretched(start, end):
-    """Return tau and d tau / dt at the distance `start` from the first node and `end` from the last node."""
+    """Return the variable of integration tau and d tau / dt at the distance `start` from the first node and `end` from the last node."""
     from_start, slope_start = end_stretch(start)
     from_end, slope_end = end_stretch(end)
     return start + from_start - from_end, 1.0 + slope_start + slope_end
 
 
 def end_stretch(t):
-    """Return tau(t) - t, and the derivative of this difference, at the distance t from the end of a semi-infinite run."""
+    """Return tau - t and its derivative by t at the distance t from the only end of a run. tau is the variable of integration."""
     x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
     small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
     slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)
@@ -139,7 +140,7 @@ class EndWeights(NamedTuple):
     """Corrections of the weights of the trapezoidal rule at the first four nodes, which are mirrored at the end of a run."""
 
     values: NDArray[np.float64]  # corrections for values, (4,); the first contains -1/2, as ends count half
-    slopes: NDArray[np.float64]  # corrections for derivatives, (4,), of opposite sign at the end of a run
+    slopes: NDArray[np.float64]  # weights of derivatives, (4,); their signs are opposite at the end of a run
 
 
 @cache

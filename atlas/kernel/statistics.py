@@ -1,8 +1,8 @@
-"""Statistics of a run, with the sums in the kernel, the final formulas, and the names in an atlas.
+"""Statistics of a run: their sums in the kernel, their final formulas, and their names in an atlas.
 
 A new statistic of every atlas is written in this module alone. It needs a row of the sums (`Row`), a line in `begin` and in
 `accumulate`, a formula in `finish`, and an entry in STATISTICS. The registry of variables takes name, unit and meaning from the
-entry. Statistics that only some scenes ask for are instruments (`measure.instrument`). No trajectory is kept.
+entry. Statistics that only some scenes ask for are instruments (`measure.instrument`).
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
 class Row(IntEnum):
-    """Rows of the kernel's output, which are sums, quadrature errors, extremes, rates subtracted in sums, and theta at the ends."""
+    """Rows of the kernel's output, with sums, quadrature errors, extremes, rates at the start (REFERENCE), and theta at start and end."""
 
     OUTSIDE, THETA_DOT_SQUARED, THETA_DOT_CHANGE, THETA_DOT_CHANGE_SQUARED = range(4)
     PSI_DOT, PSI_DOT_SQUARED, PHI_DOT, PHI_DOT_SQUARED, NORMAL_RATE, NORMAL_RATE_SQUARED = range(4, 10)
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
     PHI_DOT_ERROR, PHI_DOT_SQUARED_ERROR = range(13, 15)
     AXIS_1, AXIS_2, COS_THETA_MIN, COS_THETA_MAX = range(15, 19)
-    # ABOVE is the least sin^2 theta where cos theta > 0, BELOW where cos theta < 0. The value is 1 if there is no such direction.
+    # ABOVE is the least sin^2 theta where cos theta > 0, BELOW where cos theta < 0. Each is 1 if cos theta never has this sign.
     SIN2_THETA_MIN_ABOVE, SIN2_THETA_MIN_BELOW, SIN2_THETA_MAX, DRIFT = range(19, 23)
     THETA_DOT_REFERENCE, PSI_DOT_REFERENCE, PHI_DOT_REFERENCE, NORMAL_RATE_REFERENCE = range(23, 27)
     FIRST_THETA, LAST_THETA = range(27, 29)
@@ -176,7 +176,7 @@ def finish(
         )
         variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
         result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
-        outside = out[Row.OUTSIDE]  # weight outside the cylinder; if the weight is 0, psi' and phi' are nan
+        outside = out[Row.OUTSIDE]  # weight of samples outside the cylinder; if 0, psi' and phi' are nan
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
         phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]

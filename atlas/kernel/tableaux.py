@@ -23,7 +23,7 @@ class Method:
     dispersion: float = 0.0
     dissipation: float = 0.0
     dissipation_order: int = 0
-    stability: float = 0.0  # largest stable y
+    stability: float = 0.0  # largest y = w h at which no amplitude grows
     kernel_step: float = 1.0  # step in the kernel's unit of time, chosen to make most coefficients 1
     # Processor time of a step, including samples, divided by the time of a step of rk4. See bench_methods.py.
     step_cost: float = 0.0

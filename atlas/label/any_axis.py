@@ -21,10 +21,10 @@ _FAR_CIRCLE = 10.0
 
 @np.errstate(all="ignore")
 def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str, np.ndarray]:
-    """Predict labels about any axes in the system's frame and, if the frame turns, in inertial space.
+    """Predict labels of motions about any axes in the system's frame and, if the frame turns, in inertial space.
 
-    Axes within the angle tolerance count as parallel. A start that is no steady motion is labelled not_computed if
-    its angular velocity may stay on a circle in the body (see `near_circle`), otherwise drifting.
+    Axes within the angle tolerance count as parallel. If the start is no steady motion, the label is drifting. But the label is
+    not_computed if the angular velocity may stay on a circle in the body (see `near_circle`).
     """
     system, base, theory = plan.system, tile.base, prediction.variables
     frames = predicted_frames(system, base)

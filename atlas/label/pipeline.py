@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The error of one point in POINTS_PER_HALF_STEP is measured if check_half_step = "sample".
 POINTS_PER_HALF_STEP = 64
-# Accepted relative change of a statistic between two step sizes. The error may be ten times larger if both runs err alike.
+# Accepted relative change of a statistic between runs with two step sizes. An error that the runs share may be ten times larger.
 LARGEST_CHANGE = 0.01
 
 
@@ -42,7 +42,7 @@ def evaluate(
     Points with a reason not to exist are not computed. Numbers are nan there, and flags other than the status have the value for a
     missing point. A run may end once its label is certain. Statistics that the plan does not want may therefore be missing or cover
     only a part of the run. Points whose labels are proved have no statistics. Points where `halved` is true run at half the step of
-    the settings. Progress counts points.
+    the settings. The progress of `threads` is a number of points.
     """
 
     def of_part(plan: Plan, where: Mask) -> dict[str, np.ndarray]:
@@ -131,7 +131,7 @@ class _Runs:
     theory: Theory
     tangent: TangentRuns | None  # tangent runs after the transient, for the indicators of chaos
     growth: TangentRuns | None  # tangent runs from the start, for the growth of errors
-    threads: Threads  # progress counts points
+    threads: Threads  # threads whose progress is a number of points
 
     def check(self) -> None:
         """Report a progress of 0 points, so that an interrupted run ends here."""

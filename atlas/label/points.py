@@ -184,7 +184,7 @@ def label_points(
 
 @dataclass(frozen=True)
 class _Labels:
-    """Function that labels points from arrays of parameters and, last, durations. Dask may send the function to other processes."""
+    """Function that labels points. The arguments are arrays of parameters, then the durations. Dask may send the function elsewhere."""
 
     system: str
     settings: Settings

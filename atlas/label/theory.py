@@ -53,13 +53,13 @@ class Prediction:
     """Predictions of theory for a set of runs. Arrays have shape (points,)."""
 
     variables: Mapping[str, np.ndarray]  # predicted labels, family, stable and growth_rate
-    motion: TwoAxes | None  # axes and rates before the nudge, or None if families replace the equations
+    motion: TwoAxes | None  # axes and rates of the motion without a nudge, or None if families alone predict
     test: SteadyTest
     answer: Flags  # values of `Existence` that `predict_labels` returns
-    family_residual: Array  # residual of the family's conditions before the nudge
+    family_residual: Array  # residual of the family's conditions at the start without a nudge
     # Residual, at the start of the run, of the conditions of the steady motion to which `log_growth` belongs.
     start_residual: Array
-    # Whether the motion is about axes other than the third and the vertical, and labels about any axes are measured.
+    # Whether the motion is about axes other than the third and the vertical, and the plan measures labels of such motions.
     about_other_axes: Mask
     pushed: Mask  # whether a nudge moved the start off the steady motion
     # Logarithm of the factor by which a distance from the motion grows until the end of the run, 0 where the factor is unknown.
@@ -71,8 +71,8 @@ class Prediction:
 def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     """Predict labels and growth for the runs of a plan by the rules of `theory.prediction`.
 
-    A motion about axes other than the third and the vertical has a `log_growth` only if labels about any axes are measured, because
-    the other labels call the motion drifting anyway.
+    A motion about axes other than the third and the vertical has a `log_growth` only if labels of such motions are measured,
+    because the other labels call the motion drifting anyway.
     """
     system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
     points, nudged = SharedValues(tile.points) if plan.nudged else base, plan.nudged
@@ -165,7 +165,7 @@ class Theory:
     growth_about_vertical: Array  # log_growth of the angle about a third axis that stays exactly vertical
     unstable: Mask  # whether the start lies, to within rounding, on an unstable exact motion
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
-    unknown_growth: Mask  # whether the growth is unknown because an extension is missing
+    unknown_growth: Mask  # whether the growth is unknown because the family's extension is not installed
 
     @classmethod
     def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes) -> Theory:
@@ -237,7 +237,7 @@ def predict(
     duration: Array | float = np.inf,
     rough: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Predict labels, family, stable and growth_rate of starts from families alone, without a nudge.
+    """Predict labels, family, stable and growth_rate at starts exactly as given, by families of steady motions alone.
 
     If `rough` is true, growth_rate may have fewer digits.
     """

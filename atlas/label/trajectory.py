@@ -176,7 +176,7 @@ def trajectory_of_point(
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
-    """Return the motion at the value of each axis in `places`; BadInput for a wrong axis or a point without motion."""
+    """Return the motion at `places`, a value for each axis. Raise BadInput for a wrong axis or a point without motion."""
     located = grid.point_at(scene, places, "a trajectory")
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())

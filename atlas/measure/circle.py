@@ -34,21 +34,22 @@ from .rates import label as label_of_third_axis
 # Time step of the finite differences at the start, multiplied by the frequency bound. On a circle the error of the second derivative
 # lies in the plane of the circle.
 DIFFERENCE_TIME = 1e-2
-# Number of sweeps of Jacobi's method, which converges quadratically, for the axes of a 3 x 3 matrix.
+# Number of sweeps of Jacobi's method for the eigenvectors of a symmetric 3 x 3 matrix. The method converges quadratically.
 SWEEPS = 6
 
 
 class Axis(IntEnum):
     """Rows of the constants of a point in one frame. They hold the axes x, y, z in the body and the motion at the start."""
 
-    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
+    # A rotation about the vertical at FRAME_RATE is added to the angular velocity. X, Y and Z are the components of the axes.
+    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)
     # Components along x, y, z of the angular velocity (START), its derivative (SLOPE) and the vertical, and |derivative|^2 (SPEED).
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):
-    """Trapezoidal sums of the changes of u (X, Y, Z), u^2 (L) and u'^2 (S) from the start to each node, and of products of two changes."""
+    """Trapezoidal sums of changes since the start, for the angular velocity u (X, Y, Z), u^2 (L), u'^2 (S), and products of two changes."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
@@ -90,7 +91,7 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
 def circle_axes(
     equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
 ) -> Array:
-    """Return the constants in a frame, (len(Axis), points). There frame_rate * vertical is added to the angular velocity."""
+    """Return the rows of `Axis`, (len(Axis), points), in a frame in which the angular velocity is larger by frame_rate * vertical."""
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
@@ -204,7 +205,7 @@ AXIS_RATES = ("precession_rate", "spin_rate")
 ANGLES = ("nutation", "precession_inclination", "spin_axis_1", "spin_axis_2", "spin_axis_3")
 # Statistics of a circle that decide the label.
 STATISTICS = ("spread", "height_std", "radius_std", "spin_std", "spin", "precession", "sine")
-# Variables that need the sums of a circle, in the system's frame or in inertial space.
+# Variables that need the sums of an instrument `Circle`, in the system's frame or in inertial space.
 ANY_AXIS = (
     "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
     "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination", "agreement_any_axis",
@@ -321,7 +322,7 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return rounding errors for rates as large as the bound. A small circle whose axis is no body axis has larger errors."""
+        """Return rounding errors of statistics, for rates up to the frequency bound. Errors grow on small circles about oblique axes."""
         size, measured = run.bound * relative, run.measured
         s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
         mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)

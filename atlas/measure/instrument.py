@@ -294,11 +294,11 @@ class Instrument:
     proofs_of: Mapping[str, str] = MappingProxyType({})
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Return the variables of all systems. No parameter may have the name of a variable."""
+        """Return all variables of the instrument, even if the system lacks some. No parameter may have the name of one of them."""
         return ()
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """Return the variables of one system, or none if the instrument cannot measure the system."""
+        """Return the instrument's variables for one system, or none if the instrument cannot measure the system."""
         return self.every_variable(system)
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
@@ -320,7 +320,7 @@ class Instrument:
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return expected errors of measurements that decide labels. `relative` is the largest `relative_error` up to this instrument."""
+        """Return expected errors of measurements that decide labels, from the largest `relative_error` of this and earlier instruments."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
@@ -405,7 +405,7 @@ class MainInstrument(Instrument):
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Return how much two runs differ in measurements that decide labels. An instrument may estimate the differences from `relative`."""
+        """Return how much two runs differ in measurements that decide labels, or an estimate from their relative difference `relative`."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

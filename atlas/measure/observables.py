@@ -183,7 +183,7 @@ class Observables(MainInstrument):
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
-        """Return the largest difference of a statistic divided by the size of the observable and, except for extremes, by `order`."""
+        """Return the largest difference of a statistic over the observable's size. Except for extremes, `order` divides the quotient."""
         changes = []
         for name, size in sizes(run.system, run.measured).items():
             for suffix in STATISTICS:

@@ -32,8 +32,8 @@ END_TIME = Variable("end_time", "float64", "s", "time at which the integration e
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
-# Constants for a third axis that starts in the cylinder. The nodes follow the axis where sin(theta) exceeds LEAVING_SINE, and miss how
-# the axis leaves the cylinder if its path turns by more than MISSED_TURN (rad) between two nodes.
+# Constants for a third axis that starts in the cylinder. The nodes resolve its path where sin(theta) exceeds LEAVING_SINE. If the path
+# turns by more than MISSED_TURN (rad) between two nodes, the nodes do not show how the axis leaves the cylinder.
 LEAVING_SINE, MISSED_TURN = 0.03, 50.0
 _NO_MEANING = "nan where the third axis counts as inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
@@ -155,7 +155,7 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Two nodes may lie on the wrong side of the rim, or one node in each oscillation if the nodes are in resonance with the motion.
+        # Two nodes may lie on the wrong side of the cylinder's rim, or one node in each oscillation if nodes and motion are in resonance.
         missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
@@ -328,7 +328,6 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
 
 
 def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
-    """Return the absolute differences of the named statistics between two runs."""
     with np.errstate(invalid="ignore"):
         return [np.abs(run.measured[name] - other.measured[name]) for name in names]
 

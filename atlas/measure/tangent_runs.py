@@ -37,12 +37,12 @@ GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
 RELATIVE_COST = 1.5
 # Largest fall of L, the logarithm of the growth of a tangent vector. The vector grows in chaos, but also while a regular motion
 # leaves the neighbourhood of an unstable motion. If the regular motion returns to a distance d, a vector along the velocity shrinks
-# by d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix and cause
-# the growth. Falls of 14 to 22 were then measured, and of at most 7 along chaotic motions.
+# by the factor d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix
+# and cause the growth. Falls of 14 to 22 were then measured. Along chaotic motions falls were at most 7.
 MAX_DRAWDOWN = 10.0
-# Bound of the growth of L in one passage at a distance d > 1e-8 from an unstable motion. Theory gives ln(1/d^2) < 37, and runs up to 39.
+# Bound of the growth of L in a passage at a distance d > 1e-8 from an unstable motion. Theory gives ln(1/d^2) < 37. Runs gave up to 39.
 MAX_PASSAGE_GROWTH = 50.0
-# Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR). In chaos it grows as half of L (above MIN_CHAOTIC).
+# Limits of mean MEGNO. In regular motions MEGNO tends to 2 or less. In chaos MEGNO grows like half of L, which MAX_DRAWDOWN explains.
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
 # A chaotic run ends when L (see MAX_DRAWDOWN) falls by MAX_DRAWDOWN or reaches MAX_PASSAGE_GROWTH, or after this many durations.
 MAX_DURATIONS = 16

@@ -37,7 +37,7 @@ MIN_VISIBLE = 1e-3
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
 # Lines with a `crowding` above CROWDED have no halo. Lines are sampled at a spacing SAMPLING. A line that meets a cell again after
-# more than the length RETURN crosses the cell twice. SAMPLING and RETURN are in sides of a cell.
+# more than the length RETURN counts as crossing the cell twice. The unit of SAMPLING and RETURN is the side of a cell.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Theory draws the borders of labels on maps of these flag variables.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
@@ -182,7 +182,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     if flags:
         without_reason = "not_computed" not in flags and "label" not in ds
         if array.dtype == bool or name in ("status", "computed") or without_reason:
-            return {}  # the flags of these variables state the reason
+            return {}  # flags of these variables tell why a cell has no result
         source = array if "not_computed" in flags else ds["label"]
         missing = source.values == Label.NOT_COMPUTED
     else:
@@ -190,7 +190,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     if "computed" in ds:
         missing &= ds["computed"].values == 1  # other cells show the nearest point
     reasons = np.full(array.shape, "", object)
-    run = next((each for each in ("label", "status") if each in ds), None)  # 0 where no motion was computed
+    run = next((each for each in ("label", "status") if each in ds), None)  # the flag 0 means no motion
     not_computed = missing & (ds[run].values == Label.NOT_COMPUTED if run else bool(flags))
     reasons[missing] = NO_THEORY if is_theory(system_of(ds), name) else NO_VALUE
     reasons[not_computed] = NO_MOTION

@@ -118,13 +118,13 @@ class View:
     bar_label: str
     log: list[bool]  # whether each axis is logarithmic
     edges: list[np.ndarray]  # edges of cells along each axis, x first, or coordinates of points
-    panel: Panel  # with angles in the unit shown
+    panel: Panel  # content of the panel, with angles in the unit to be shown
     notes: list[str]  # sentences below the figure
     families: list[str] = field(default_factory=list)  # families of the system in the order of their numbers
     texts: list[str] = field(default_factory=list)  # one text above the panel, or texts of row and column
     exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, nan in other cells
-    heading: str = ""  # name of a flag variable, which no axis shows
-    from_theory: bool = False  # whether the variable is theory, so that no line is marked as theory
+    heading: str = ""  # label of the variable if neither an axis nor a colour bar shows the label, else empty
+    from_theory: bool = False  # whether theory alone gives the variable; lines then need no mark as theory
 
     def named(self) -> View:
         """Return the view with the heading added to the last text."""
@@ -300,7 +300,7 @@ def text_of(options: MapOptions, name: str, default: str) -> str:
 
 
 def label_of(options: MapOptions, array: xr.DataArray, ds: xr.Dataset) -> str:
-    """Return the text for the variable of a map, with the word theory if the variable is theory."""
+    """Return the text for the variable of a map. It contains the word theory if the variable comes from theory alone."""
     name = str(array.name)
     return text_of(options, name, variable_label(array, theory=is_theory(system_of(ds), name)))
 
@@ -327,7 +327,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels row by row with one legend."""
     check_options(views, options)
-    # Colour bars and axes name variables of numbers. Without a title, the legend names the only flag variable. Otherwise panels do.
+    # If there is no title, the legend names a single flag variable. Otherwise panels name flag variables. Axes or bars name numbers.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):
@@ -401,7 +401,7 @@ def check_options(views: list[View], options: MapOptions) -> None:
 
 
 TEXT_ROW = 2.8  # height of a line of text, mm
-LEGEND_SHARE = 0.97  # largest width of a legend, divided by the figure's; letters are wider at low resolution than in print
+LEGEND_SHARE = 0.97  # largest width of a legend, divided by the figure's; below 1, because letters are wider at low resolution
 
 
 @dataclass(frozen=True)
@@ -503,7 +503,7 @@ class Sheet:
 
 
 def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[Entries, list[str]]:
-    """Return the legend of all panels, which are `width` mm wide, and the sentences below the figure."""
+    """Return the legend of all panels and the sentences below the figure. Each panel is `width` mm wide."""
     regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and mask of the region in each panel
     panels = [view.panel for view in views]
     for view, panel in zip(views, panels, strict=True):

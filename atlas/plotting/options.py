@@ -36,11 +36,11 @@ class MapOptions:
     Parameters
     ----------
     x, y : str, optional
-        Axes of the map. The default is the two longest axes, of which x comes first in the atlas. For single points, parameters or
-        other coordinates of the points. The default is then the two coordinates with the most values.
+        Axes of the map. The default is the two longest axes, of which x comes first in the atlas. The axes of single points are
+        parameters or other coordinates of the points. The default is then the two coordinates with the most values.
     row, col : str, optional
-        Axes, or dimensions with names as coordinates (see `atlas.concat`), whose values become panels from top to bottom (row) or
-        left to right (col), at most `atlas.analysis.select.MAX_PANELS`. By default one axis besides x and y gives panels row by row.
+        Axes with a panel for each value, from top to bottom (row) or left to right (col). A dimension of `atlas.concat` is allowed too.
+        There are at most `atlas.analysis.select.MAX_PANELS` panels. By default one axis besides x and y gives panels row by row.
     select : mapping of str to float, optional
         Values of axes that the map does not show, by the name of the axis. The nearest value of the axis is taken.
     ax : matplotlib.axes.Axes, optional
@@ -174,7 +174,6 @@ def width_mm(width: Width) -> float:
 
 
 def _is_number(value: object, low: float, high: float) -> bool:
-    """Whether a value is a number between two limits."""
     return (
         isinstance(value, int | float | np.integer | np.floating)
         and not isinstance(value, bool)

@@ -123,7 +123,7 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each flag. Few numbered flags take QUALITATIVE. Others take COLOURS by name, or else a step of luminance."""
+    """Return the colour of each flag. Few numbered flags have the colours QUALITATIVE. Others are coloured by name or by luminance."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Return the label of a variable, with words or a symbol, the word theory if `theory`, the unit, and names chosen on other axes."""
+    """Return the label of a variable, made of words or a symbol, the word theory if `theory`, the unit, and texts of scalar coordinates."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = WORDS.get(name, name.replace("_", " "))

@@ -67,7 +67,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", VersionMismatchWarning)  # see `check_workers`
-                # A default client of the session would remain after a failure.
+                # If this client were the default of the session, it would stay the default after a failure.
                 client = distributed.Client(server, set_as_default=False)
         except (TypeError, RuntimeError) as error:  # wrong settings of TLS
             raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
@@ -139,7 +139,7 @@ def for_each(
             if not in_flight:
                 return
             ended: Iterable[Future[Any]] = []
-            with suppress(TimeoutError):  # the interval is over
+            with suppress(TimeoutError):  # no task has ended within POLL_INTERVAL
                 ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
             for future in ended:
                 task_arguments, attempt = in_flight.pop(future)

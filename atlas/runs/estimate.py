@@ -31,7 +31,7 @@ from .refine import expected_points
 
 # Number of steps, summed over points, that each thread computes in the measurement. They take about half a second.
 CALIBRATION_STEPS = 1e8
-# The time that early ends of runs save is measured on at least LEAST_POINTS points, in about LABEL_STEPS steps (at most 0.2 s).
+# The time saved by early ends of runs is measured on at least LEAST_POINTS points, in about LABEL_STEPS steps (at most 0.2 s).
 LABEL_STEPS, LEAST_POINTS = 2e7, 16
 HEADER_BYTES = 1000  # size of the header of a tile
 # Size of a run folder without tiles, and size of the attributes and format tables of a variable in a file, without the values.
@@ -157,7 +157,7 @@ def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """Return time and memory of the largest job, and twice that for SLURM. `expected` is a cost on `measured` processors."""
+    """Return time and memory of the largest job, and SLURM options for twice as much. The cost `expected` is for `measured` processors."""
     tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)

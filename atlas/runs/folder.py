@@ -1,4 +1,4 @@
-"""Runs in a folder or bucket, whose tiles are computed by threads or dask workers and may be joined into one file."""
+"""Runs in a folder or bucket. Threads or dask workers compute the tiles of a run, and the tiles may be joined into one file."""
 
 from __future__ import annotations
 
@@ -278,7 +278,7 @@ def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
 
 @dataclass(eq=False)
 class _Job:
-    """The computation of some tiles of a run, which other processes may share."""
+    """The computation of some tiles of a run. Other processes may compute some of these tiles."""
 
     run: RunFolder
     tiles: Tiles

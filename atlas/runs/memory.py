@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MANY_POINTS = 10**6  # An atlas of this many points may not fit into memory.
-# Seconds for a point and for a step on a slow processor. If a run might thus take more than LONG seconds, one tile is measured.
+# Seconds for a point and for a step on a slow processor. If a run would take more than LONG seconds there, a tile is timed.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes the number of points finished since the last call

@@ -49,7 +49,7 @@ class ScenePlan:
     """The plan of a scene, with the steps, the work and the tiles of the run."""
 
     scene: Scene
-    sample: grid.Grid  # the points of the scene that `grid.check` returns
+    sample: grid.Grid  # sample of the scene's points, from `grid.check`
 
     @classmethod
     def of(cls, scene: Scene) -> ScenePlan:

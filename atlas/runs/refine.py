@@ -33,7 +33,7 @@ Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Number of points integrated on either side of a boundary at each level. Two points cover the crossed cell and one cell beyond.
 BOUNDARY_WIDTH = 2
-# Unstable points are not integrated if at most this many of them are expected not to drift in a run.
+# Unstable points of fast growth need no integration, because nearly all drift. This is the largest expected number of exceptions.
 EXPECTED_MISSES = 0.05
 SEED = 0
 # `expected_points` estimates the cost of a refined scene on a grid of at most this many points.
@@ -171,7 +171,7 @@ class FineGrid:
             yield grid.near_change(code[around], [1 + 2 * n for n in reach])[inside]
 
     def _not_computed(self, subgrid: Box, masks: Iterable[Mask | bool]) -> Iterator[np.ndarray]:
-        """Yield, box by box, the flat indices of points of `subgrid` that the mask selects and that are not computed."""
+        """Yield, for each box, the flat indices of the points in `subgrid` that are not computed and that the mask of the box selects."""
         computed = self.computed[subgrid]
         for box, mask in zip(Tiling.of(computed.shape, MAX_BOX_POINTS), masks, strict=False):
             along_axes = zip(np.nonzero(mask & ~computed[box]), box, subgrid, strict=True)
@@ -264,7 +264,7 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
             yield np.zeros(scene.shape, kind)
             continue
         with tempfile.TemporaryFile(dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):  # otherwise a full disk would kill the process
+            if hasattr(os, "posix_fallocate"):  # a write to the map on a full disk would kill the process
                 os.posix_fallocate(file.fileno(), 0, scene.size * np.dtype(kind).itemsize)
             yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 

@@ -71,7 +71,7 @@ class RunFolder:
 
     def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path, self.place, self.manifest = path, place_at(path), manifest
-        self.key = str(manifest["key"])  # hash of scene, programs and tiling, which every tile contains
+        self.key = str(manifest["key"])  # hash of scene, programs and tiling; every tile contains the hash
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiling.check()
@@ -405,7 +405,7 @@ def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
         "identity": identity(plan.runs),
         "tile": (plan.tiling if scene.refine is None else finest).tile,
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        "provenance": {  # JSON has no nan
+        "provenance": {  # None replaces nan, which JSON lacks
             name: None if isinstance(value, float) and math.isnan(value) else value
             for name, value in attributes.items()
         },

@@ -112,7 +112,7 @@ def fraction(key: str, value: object) -> float:
 
 
 def whole_number(key: str, value: object, low: int, high: float = math.inf) -> int:
-    """Return the value as an int. Raise BadInput unless the value is an integer, and no Boolean, from `low` to `high`."""
+    """Return the value as an int. Raise BadInput unless the value is an integer from `low` to `high` and no Boolean."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         allowed = f", at least {low}" if high == math.inf else f" from {low} to {high}"
         raise BadInput(f"{key} = {shown(value)}: must be a whole number{allowed}")

@@ -1,4 +1,4 @@
-"""The grid of a scene. Points at any indices are computed from axes, ties, family and nudge."""
+"""The grid of a scene. Points at any indices are computed from the scene's axes, ties, family and nudge."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Reason(IntEnum):
     IMPOSSIBLE_START = 3  # System.possible_start is false
     NO_MOTION = 4  # the family of the scene has no motion here
     NO_DURATION = 5  # the duration has no finite value above 0, or is in turns or orbits but nothing turns
-    NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a finite value above 0
+    NO_TOLERANCE = 6  # the arithmetic of the rate tolerance gives no finite value above 0
     NO_TRANSIENT = 7  # the transient has no value, for the reasons of NO_DURATION
 
 
@@ -76,8 +76,8 @@ class Reason(IntEnum):
 class Grid:
     """Points of a scene, as columns of shape (points,)."""
 
-    base: dict[str, Array]  # parameters without the nudge, for theory
-    points: dict[str, Array]  # parameters with the nudge, for the starts of motions
+    base: dict[str, Array]  # parameters without the scene's nudge, for theory
+    points: dict[str, Array]  # parameters with the scene's nudge, for the starts of motions
     reason: Flags  # values of `Reason`, int8
     duration: Array  # in time units, nan where the duration has no value
     rate_tolerance: Array  # in rad per time unit, nan where the rate tolerance has no value
@@ -141,7 +141,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
-    """Return the points at flat indices in C order, without the nudge."""
+    """Return the points at flat indices in C order. The amounts in `scene.nudge` are not yet added to the start values."""
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
@@ -205,7 +205,7 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
 
 
 def point_at(scene: Scene, places: Mapping[str, float], what: str) -> Grid:
-    """Return the point at a value of every axis. Raise BadInput for no motion, or for wrong axes with `what` in the message."""
+    """Return the point with the values `places` along all axes. Raise BadInput if an axis is missing or unknown, or no motion exists."""
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
             problem = "is no axis of the scene" if name in places else "has no value"
@@ -252,7 +252,7 @@ def durations(
     system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration", *,
     zero: bool = False,
 ) -> Array:  # fmt: skip
-    """Return durations in time units, or nan as in `at_points` or where nothing turns. Raise BadInput if one is infinite."""
+    """Return durations in time units, or nan where `at_points` gives nan or nothing turns. Raise BadInput if a duration is infinite."""
     if isinstance(duration.amount, str) or not duration.unit:
         return at_points(system, duration.amount, points, names, zero=zero)
     with np.errstate(all="ignore"):

@@ -140,7 +140,7 @@ class Axis:
 class Duration:
     """Length of the runs."""
 
-    amount: float | str = f"60 / {NATURAL_RATE}"  # a number of units, or arithmetic that gives time units
+    amount: float | str = f"60 / {NATURAL_RATE}"  # number in `unit`, or arithmetic that gives time units
     unit: str = ""  # "orbits", "turns" (periods of the slower of the rates n and m), or "" for time units
 
     @property
@@ -231,7 +231,7 @@ class Scene:
     ties: Mapping[str, Tie]  # expressions by the names that they define, in order of evaluation
     family: str | None = None  # name of the family of steady motions on which every point starts
     solve: tuple[str, ...] = ()  # parameters that formulas of the family compute, in this order
-    choice: Mapping[str, Any] = field(default_factory=dict)  # key branch or near of [family], and the value
+    choice: Mapping[str, Any] = field(default_factory=dict)  # `branch` or `near` -> value, from [family]
     nudge: Mapping[str, float] = field(default_factory=dict)  # amounts added to start values after solving
     duration: Duration = Duration()  # length of the runs
     transient: Duration = Duration(0.0)  # time before statistics and labels begin

@@ -37,7 +37,7 @@ def _plain(name: str) -> str:
 
 
 def parameter_meant(name: str, parameters: Collection[str]) -> str:
-    """Return the parameter that equals a name but for case, blanks, punctuation and a final unit, or an empty text."""
+    """Return the parameter that equals a name, or "" if there is none. Case, blanks, punctuation and a final unit do not count."""
     text = unicodedata.normalize("NFKC", name[:MAX_NAME])
     by_plain = {_plain(each): each for each in parameters} | {each: each for each in parameters}
     forms = (name, _plain(text), _plain(_UNIT_OF_NAME.sub("", text)))
@@ -45,7 +45,7 @@ def parameter_meant(name: str, parameters: Collection[str]) -> str:
 
 
 def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
-    """Raise BadInput if a name resembles a parameter or contains parameters, unless the values are 0, 1, 2, ..."""
+    """Raise BadInput if a column's name resembles a parameter or contains parameters, unless the column's values are 0, 1, 2, ..."""
     problem, meant = "", parameter_meant(name, parameters)
     if meant:
         problem = f"no parameter, but {meant} if case, blanks and units do not count; {REMEDY}"

@@ -269,7 +269,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
         raise BadInput(
             f"outputs.variables: {shown(name)} is unknown; {extension.available_text(name, registry)}"
         )
-    # The list of a finished atlas is complete and gets no further variables.
+    # The outputs of a finished atlas are complete and get no further variables.
     outputs = tuple(
         [name for name in registry if name in listed] if of_atlas else listed_variables(system, listed)
     )

@@ -355,7 +355,7 @@ class CsvColumns(dict[str, Any]):
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
     """Return the columns of a CSV file, with nan for empty fields of `numeric` columns. BadInput names file and line.
 
-    The first line names the columns. If that line has numbers, a comment before it may name them, as in files of numpy.savetxt.
+    The first line names the columns. If this line has numbers, an earlier comment may name the columns, as in files of numpy.savetxt.
     """
     number = size = 0  # number of the last line, and number of characters, that have been read
     comments: deque[str] = deque(maxlen=MAX_COMMENTS)

@@ -121,7 +121,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     axes = [i for i, axis in enumerate(scene.axes) if axis in names - scene.ties.keys()]
 
     def evaluate(indices: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the values at the given indices along the axes, and at the first value of each other axis."""
+        """Return the parameter at the given indices along `axes`. The indices along all other axes of the scene are 0."""
         all_indices = [np.zeros(1, np.int64)] * len(scene.shape)
         for i, index in zip(axes, indices, strict=True):
             all_indices[i] = index
@@ -136,7 +136,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
     edges = [np.cumsum([0, *along]) for along in lengths]
 
-    def chunk(block_id: Any = None) -> np.ndarray:  # dask would make block_info for all blocks at once
+    def chunk(block_id: Any = None) -> np.ndarray:  # not block_info, which dask makes for all blocks at once
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .dataset import Block
 
 FILE, STORE = ".nc", ".zarr"
-# The module with the `FORMAT` for a suffix, imported on use, and the purpose of the suffix. Extensions add formats of files.
+# Module and purpose of each suffix. A module is imported on use, and defines the name `FORMAT`. Extensions add formats of files.
 FORMATS = {FILE: ("netcdf", "for one file"), STORE: ("zarr_store", "for a Zarr store")}
 METADATA = "zarr.json"  # object with the root metadata of a Zarr store
 

@@ -82,7 +82,7 @@ def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
         blocks = Tiling.of(shape, ROW_VALUES)
         if isinstance(chunks, list):
             lengths = [max(min(pair), 1) for pair in zip(chunks, shape, strict=True)]
-            if not by_chunks:  # A whole row of chunks is a range of the C order.
+            if not by_chunks:  # A whole row of chunks is contiguous in C order.
                 first = next((i for i, length in enumerate(lengths) if length > 1), len(shape) - 1)
                 lengths[first + 1 :] = (max(n, 1) for n in shape[first + 1 :])
             if by_chunks or math.prod(lengths) <= MAX_ROW_VALUES:

@@ -100,7 +100,7 @@ class Folder:
         return []
 
     def walk(self) -> list[str]:
-        """Return the names of all files, including files in folders inside."""
+        """Return the names of all files in this folder and its subfolders."""
         start = len(str(self.path)) + 1
         return [f"{where}/{name}"[start:] for where, _, names in os.walk(self.path) for name in names]
 
@@ -127,7 +127,7 @@ class Folder:
         return age(self.path / name)
 
     def remove_leftovers(self) -> None:
-        """Remove temporary files of killed processes, here and in folders inside."""
+        """Remove temporary files of killed processes in this folder and its subfolders."""
         for folder, _, _ in os.walk(self.path):
             remove_leftovers(Path(folder))
 

@@ -53,7 +53,7 @@ class Progress:
         self._save(running=True)
 
     def advance(self, points: float) -> None:
-        """Count points as finished. The number may be a fraction, because a tile reports each block of the work."""
+        """Count points as finished. `points` may be a fraction, because partly integrated points count in part."""
         with self._lock:
             self._done = min(
                 self._done + float(points), self.points

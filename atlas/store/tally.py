@@ -22,8 +22,8 @@ class Tally:
     """Counts of flags, histograms of errors, and largest values."""
 
     def __init__(self) -> None:
-        # `counts` has the number of points by flag of each variable, and by bin of errors of each group in GROUPS. `largest` has the
-        # largest integral_drift, and the largest error of each group, of all "unstable" motions in groups, and of all "others" there.
+        # `counts` maps each variable to numbers of points by flag, and each group in GROUPS to numbers of points by bin of errors.
+        # `largest` has the largest integral_drift and largest error of each group. "unstable" and "others" divide all groups by stability.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod

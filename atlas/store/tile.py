@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: 
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the header and the columns in `types`. Raise DamagedTile if hash or facts differ, or if points exceed `most`."""
+    """Return the header and the columns in `types`. Raise DamagedTile for a wrong hash, a header without `facts`, or over `most` points."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")

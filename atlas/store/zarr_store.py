@@ -53,7 +53,7 @@ except ImportError:
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # A coordinate of up to this many values is a single object, which opens faster.
-# PLAIN codecs do not compress (versions before 0.1.0 used sharding_indexed). PACKING codecs compress: the unpacked size is checked.
+# PLAIN codecs do not compress. Versions before 0.1.0 used sharding_indexed. The unpacked size is checked for PACKING codecs.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
@@ -260,7 +260,7 @@ class Zarr(Format):
                     f"{path}: unfinished: the command that wrote it was ended; the same command finishes it"
                 )
             is_whole = is_own or "atlas_seal" in attributes
-            consolidated = (metadata.get("consolidated_metadata") or {}).get("metadata") or {}  # may be empty
+            consolidated = (metadata.get("consolidated_metadata") or {}).get("metadata") or {}
             is_consolidated = bool(consolidated)
             if len(consolidated) > MAX_NAMES:
                 raise ValueError(f"it has more than {MAX_NAMES} arrays")

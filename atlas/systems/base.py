@@ -116,14 +116,14 @@ class Family:
     """A family of exact motions, which are steady motions about two axes or motions in a plane."""
 
     name: str
-    flag: int = 0  # value of the dataset variable `family`, which `numbered` counts from 1
+    flag: int = 0  # number of the family in the dataset variable `family`; `numbered` assigns numbers from 1
     title: str = ""
     equations: str = ""  # numbers of the equations in the paper, or another source
     conditions: tuple[Condition, ...] = ()
-    # Formula for the value of each parameter on the family. Where no value exists, the formula gives nan. The order is that of use.
+    # Formulas for parameters on the family, in the order in which a scene solves them. A formula gives nan where no value exists.
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
     # Text on the default solution, by the name of a parameter that has several solutions. The parameter is in `solve`, or it is a
-    # rate in formulas for start values. The comment on NEAR says how formulas learn of another choice.
+    # rate in formulas for start values. A scene may choose another solution (see NEAR).
     several: Mapping[str, str] = field(default_factory=dict)
     # Functions of points that return flags.Stability and growth rates, rad per time unit. `rough_stability` has fewer digits.
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
@@ -138,8 +138,8 @@ class Family:
     free: tuple[str, ...] = ()  # parameters that the conditions leave free
     # Axes and rates at points, for a family of motions about other axes than the third axis and the vertical.
     axes: Callable[[Points], TwoAxes] | None = None
-    # Standard deviation, (points,), of the varying rate of a body that turns about its third axis on the vertical, as a function
-    # of points and durations. An infinite duration means whole periods. None: the motion is steady.
+    # Function of points and durations. It returns the standard deviation, (points,), of the varying rate of turning about the
+    # third axis, which is vertical. An infinite duration means whole periods. If None, the motion is steady.
     rate_std: Callable[[Points, Array], Array] | None = None
 
 
@@ -166,7 +166,7 @@ class PublishedEquation:
     effect: str = ""  # consequence of the difference between `printed` and `true`
 
 
-# Function of names of variables, the points (before any nudge), the duration and `pause`. It returns values (points,) by name.
+# Function of names of variables, the points without the scene's nudge, the duration and `pause`. It returns values (points,) by name.
 GroupValues = Callable[[Collection[str], Points, Array, Callable[[], None]], Mapping[str, NDArray[Any]]]
 
 
@@ -177,8 +177,8 @@ class DerivedVariable:
     name: str
     unit: str
     long_name: str
-    # Function of the points (before any nudge), the duration and `pause`. It returns values (points,). A long computation calls
-    # pause() at least once a second. If the run was interrupted, pause() raises an exception.
+    # Function of the points without the scene's nudge, the duration and `pause`. It returns values (points,). A long computation
+    # calls pause() at least once a second. If the run was interrupted, pause() raises an exception.
     values: Callable[[Points, Array, Callable[[], None]], NDArray[Any]]
     comment: str = ""
     # Raises BadInput if the variable is undefined or takes too long at some points and durations.
@@ -319,8 +319,8 @@ class System(ABC):
         Returns
         -------
         mapping of every name in ``equations.INTEGRALS`` to an array (points,)
-            Lower bound, in units of the integral, of the sum of the magnitudes of its terms. The error is divided by this sum.
-            nan where the integral is not constant, even with its losses. The default is 0 at every point.
+            Lower bound, in units of the integral, of the sum of the magnitudes of its terms. The integral's error is divided by
+            this sum. The bound is nan where the integral is not constant even if its losses are added. The default is 0.
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 
@@ -500,8 +500,8 @@ class System(ABC):
 
         A motion is stable if every characteristic exponent is imaginary and simple, or if the energy has a minimum. It is
         unstable if an exponent has a positive real part. Zero exponents that come from a symmetry or a conserved momentum are
-        ignored. If other exponents are zero or equal up to rounding, distances may grow like a power of time. The stability is
-        then unknown and the growth rate 0. The default uses the formulas of families.
+        ignored. If another exponent is zero up to rounding, or two are equal up to rounding, distances may grow like a power of
+        time. The stability is then unknown, but the growth rate is 0. The default uses the formulas of families.
 
         Parameters
         ----------
@@ -513,7 +513,7 @@ class System(ABC):
         stable : int8 array (points,)
             Values of flags.Stability.
         growth_rate : array (points,)
-            Largest real part of the characteristic exponents, rad per time unit; nan where unknown.
+            Largest real part of the characteristic exponents, rad per time unit, or nan where the exponents are unknown.
         """
         stable, growth = np.full(flags.shape, Stability.UNKNOWN, np.int8), np.full(flags.shape, np.nan)
         for family in families_of(self).values():
@@ -592,7 +592,7 @@ def families_of(system: System) -> Mapping[str, Family]:
 
 
 def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Extension]:
-    """Return extensions that define one of `variables`, or a family, because any start may be on such a family."""
+    """Return extensions that define one of `variables` or a family of the system. Any start may be on such a family."""
     families = families_of(system).keys() - system.families.keys()
     return extension.used([name for name in variables if name not in system.derived], families)
 
@@ -613,8 +613,8 @@ def identify(
 ) -> tuple[Flags, Array]:
     """Return flag and residual of the first family to which each point belongs, as System.identify_family does.
 
-    The families in `others` are tested last and do not count in the least residual. The conditions of such a family are
-    computed one by one, each at the points, usually few, that satisfy the earlier conditions.
+    A point on no family gets the least residual of the families that are not in `others`. Families in `others` are tested last.
+    Their conditions are computed one by one, each only at the points that satisfy the earlier conditions.
     """
     shape = shape_of(points)
     flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
@@ -688,7 +688,7 @@ def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
 def derived_values(
     system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
 ) -> dict[str, NDArray[Any]]:
-    """Return values of derived variables by name, at points before any nudge. Shared results are computed once."""
+    """Return values of derived variables by name, at points without the scene's nudge. Shared results are computed once."""
     variables = [variable for name, variable in derived_variables(system).items() if name in names]
     points, columns = SharedValues(points), dict[str, NDArray[Any]]()
     for variable in variables:
@@ -709,7 +709,7 @@ class SharedValues(dict[str, Array]):
         self._values: dict[Callable[[Points], Any], Any] = getattr(points, "_values", {})
 
     def of(self, function: Callable[[Points], _T]) -> _T:
-        """Return the value of a function of the points. It is computed once, and its arrays are read-only."""
+        """Return the value of a function of the points. The value is computed once, and its arrays are read-only."""
         if function not in self._values:
             value: Any = function(self)
             views = [np.asarray(array).view() for array in (value if isinstance(value, tuple) else (value,))]

@@ -1,8 +1,8 @@
 """Regular precessions and permanent rotations of the gyrostat about other axes than the third and the vertical.
 
-In a motion w = n nu + m s the axis s is at rest in the body, and the axis nu is at rest in space. The angle between s and nu
-is theta1, and the angle between nu and the vertical g is kappa. The equations are linear in I, l and the weight Mg r_c, and they
-are written in harmonics of the angles n t and m t. If n, m and sin theta1 are not 0, they allow four cases:
+In a motion w = n nu + m s the axis s is at rest in the body, and the axis nu is at rest in space. The angle between s and nu is theta1.
+The angle between nu and the vertical g is kappa, and N is the gradient of the field. The equations are linear in inertia I, rotor l
+and weight Mg r_c, and are sums of harmonics of n t and m t. If n, m and sin theta1 are not 0, they allow four cases:
 
 - kappa and N are not 0. The harmonic 2 n + 2 m and then 2 n + m (with -m for m if n and m differ in sign) leave a
   spherical body, on which the field has no effect. By the next case it has no weight and belongs to `free_precession`.
@@ -85,7 +85,7 @@ class Start(motions.Start):
         return np.where(spherical, unit(otherwise, axis), axis)
 
     def section_difference(self, s: Array) -> Array:
-        """Return how far the section of the ellipsoid of inertia normal to `s` is from a circle, over the largest moment."""
+        """Return the largest minus the least moment of inertia about axes normal to `s`, divided by the body's largest moment."""
         first = unit(cross(s, principal(np.abs(s).argmin(0))))
         second = cross(s, first)
         difference = dot(self.inertia * first, first) - dot(self.inertia * second, second)
@@ -120,7 +120,7 @@ def _with_unit_weight(points: Points) -> Points:
 
 
 def section_normals(inertia: Array) -> Array:
-    """Return the magnitudes of the components of a normal of a circular section. The normals differ only in signs."""
+    """Return the absolute components of normals of circular sections of the ellipsoid of inertia. The normals differ only in signs."""
     order = np.argsort(inertia, axis=0, kind="stable")
     low, middle, high = np.take_along_axis(inertia, order, 0)
     squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
@@ -145,7 +145,7 @@ class Lagrange(Start):
         return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)
 
     def torque(self) -> tuple[Array, Array]:
-        """Return the left side of the balance without the weight, and the weight along s."""
+        """Return the torque without the weight and that of the weight, both divided by the sine of the tilt. On the family they cancel."""
         s, m, g, n = self.axes()
         C = dot(self.inertia * s, s)
         A = 0.5 * (self.inertia.sum(0) - C)
@@ -192,7 +192,7 @@ class Grioli(Start):
         return TwoAxes(s, n, across(self.w, s) / n, n)
 
     def vertical(self, axes: TwoAxes) -> Array:
-        """Return Mg |r_c| times the vertical."""
+        """Return Mg |r_c| times the vertical that a precession about these axes requires."""
         s, n, nu, _ = axes
         momentum = self.inertia * s
         along = dot(momentum, s) * n**2 + dot(self.rotor, s) * n
@@ -212,7 +212,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_start(cls, name: str, points: Points) -> Array:
-        """Return one of p0 .. gamma30 at a time when nu lies in the plane of s and I s. All six together start an exact motion."""
+        """Return the start value `name`, one of p0 .. gamma30, from `initial_state`. All six values together start an exact motion."""
         start = cls(points)
         values = np.stack([*start.inertia, *start.rotor, *start.weight])
         near = points.get(f"{NEAR}n", np.full_like(points["A"], np.nan))
@@ -224,10 +224,10 @@ class Grioli(Start):
         return state[VECTORS.index(name)].copy()
 
     def initial_state(self, near: Array) -> Array:
-        """Return p0 .. gamma30 at a time when nu lies in the plane of s and I s, or nan where the body has no such motion.
+        """Return p0 .. gamma30 when the axis nu of precession is in the plane of the spin axis s and I s, or nan if no motion exists.
 
-        With b = s.I s, d = |s x I s| and l the rotor along s, n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 that is
-        nearest to `near`. Where `near` is nan, n is the largest positive root.
+        With the inertia I, b = s.I s, d = |s x I s| and the rotor l along s, the rate n of precession is the root of
+        (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 that is nearest to `near`. Where `near` is nan, n is the largest positive root.
         """
         s = unit(self.weight)
         momentum = self.inertia * s
@@ -258,7 +258,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """Return one coordinate, of the given sign, of a centre of mass that lies on a normal of a circular section."""
+        """Return one coordinate of a centre of mass on a normal of a circular section of the ellipsoid of inertia. The sign is kept."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])
@@ -268,7 +268,7 @@ class Balanced(Start):
     """Precession about the vertical where field and centrifugal torque cancel."""
 
     def axes(self) -> TwoAxes:
-        """Return axes and rates, with the sign of n that puts the spin axis nearer to a normal of a circular section."""
+        """Return axes and rates. The sign of n is the sign that gives the smaller `section_difference` of the spin axis."""
         candidates, off = [], []
         for sign in (1.0, -1.0):
             n = sign * np.sqrt(self.N)

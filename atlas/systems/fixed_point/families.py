@@ -1,19 +1,19 @@
-"""Steady motions of the gyrostat about a fixed point, with conditions and with solvers for one parameter each.
+"""Steady motions of the gyrostat about a fixed point, with conditions and with formulas that each solve for one parameter.
 
-A steady motion keeps theta, psi' = n and phi' = m constant, so that w = n g + m e3, where e3 is the third body axis.
-With g = (s sin phi, s cos phi, c), s = sin theta, c = cos theta, K = n^2 - N and b = n l + Mg r_c, the equations of
-motion require at every phi = phi0 + m t
+A steady motion keeps theta, psi' = n and phi' = m constant, so that w = n g + m e3 with the vertical g and the third body axis e3.
+Let l be the rotor, N the gradient of the field, I = diag(A, B, C), K = n^2 - N, b = n l + Mg r_c, s = sin theta and c = cos theta.
+With g = (s sin phi, s cos phi, c) the equations of motion require at every phi = phi0 + m t
 
     K (B - C) g2 c + n m (B - A - C) g2 + b2 c - b3 g2 + m l2 = 0
     K (C - A) g1 c + n m (B - A + C) g1 + b3 g1 - b1 c - m l1 = 0
     K (A - B) g1 g2 + b1 g2 - b2 g1 = 0
 
-If s = 0, they reduce to b1 = b2 = 0 with n = r c, the family `sleeping`. If m = 0, K I g + b is parallel to g at one phi,
-in the families `staude` (n != 0) and `rest`. If m and s are not 0, phi takes every value, and the coefficients of 1,
-sin phi, cos phi and sin 2 phi vanish one by one. They give b1 = b2 = 0, then l1 = l2 = 0, then Mg x0 = Mg y0 = 0,
+If s = 0 and r is the rate about e3, they reduce to b1 = b2 = 0 with n = r c, the family `sleeping`. If m = 0, K I g + b is parallel
+to g at one phi, in the families `staude` (n != 0) and `rest`. If m and s are not 0, phi takes every value, and the coefficients
+of 1, sin phi, cos phi and sin 2 phi vanish one by one. They give b1 = b2 = 0, then l1 = l2 = 0, then Mg x0 = Mg y0 = 0,
 K (A - B) = 0, K (B - C) c + n m (B - A - C) = b3 and K (C - A) c + n m (B - A + C) = -b3. With A = B the last two are
-the one equation of `conical`. With A != B they require K = n = 0, that is N = 0, and then Mg z0 = 0. This is a free
-body that turns about its third axis, in `rest`. The four families are therefore complete.
+the one equation of `conical`. With A != B they require K = n = 0, that is N = 0, and then Mg z0 = 0. Such a body is free
+and turns about its third axis, in the family `rest`. The four families are therefore complete.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def steady_rates(points: Points) -> tuple[Array, Array, Array]:
 
 
 def squared_rate(points: Points) -> Array:
-    """Return |w0|^2, or the largest torque of fields or rotor divided by the least moment if this is larger."""
+    """Return |w0|^2, or the largest torque of fields or rotor divided by the least moment if this quotient is larger."""
     inertia, rotor, weight, N = bodies(points)
     turn, least = (initial_state(points)[:3] ** 2).sum(0), inertia.min(0)
     torque = np.maximum(length(weight), np.abs(N) * (inertia.max(0) - least))
@@ -105,7 +105,7 @@ def _upright(points: Points) -> Array:
 
 
 def _turning_torque(points: Points) -> Array:
-    """Return a bound, for all phi, of the torque that tilts a resting third axis about which the body turns; 0 if m = 0."""
+    """Return an upper bound of the torque that tilts the third axis while the body turns about this axis, or 0 where m = 0."""
     inertia, rotor, weight, N = bodies(points)
     _, _, m = rates(points)
     gradient = N * np.abs(inertia[0] - inertia[1])
@@ -178,7 +178,7 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
 def _solve_rest(angle: str, points: Points) -> Array:
     """Return theta0 or phi0 of a resting third axis. A closed form exists if the body is symmetric about this axis."""
     closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
-    if angle == "theta0" and f"{NEAR}theta0" in points:  # the third axis also rests at 0 and pi
+    if angle == "theta0" and f"{NEAR}theta0" in points:  # theta0 = 0 and pi are solutions as well
         poles = np.broadcast_to(np.array([0.0, np.pi]).reshape(2, *(1,) * closed.ndim), (2, *closed.shape))
         closed = nearest_root(np.array([closed, *poles]), points["theta0"])
     closed = np.where(symmetric(points), closed, np.nan)
@@ -317,5 +317,5 @@ ORDER = (
 
 
 def identify_family(points: Points) -> tuple[Flags, Array]:
-    """Return flag and residual of the family of each start, among families about the third axis and the vertical."""
+    """Return flag and residual of each start's family. Only families of motions about the third body axis and the vertical count."""
     return identify(points, ORDER)

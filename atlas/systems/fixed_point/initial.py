@@ -100,7 +100,7 @@ def vertical(points: Points) -> Array:
 
 @shared
 def rates(points: Points) -> tuple[Array, Array, Array]:
-    """Return theta', n and m of w = n gamma + m e3 + theta' about the node. At a pole, n = 0 and m = r if vectors are given."""
+    """Return theta', n and m, the rates about node, vertical and third axis. Where sin theta = 0 and p0 is given, n = 0 and m = r0."""
     gamma = vertical(points)
     p, q, r = points["p0"], points["q0"], points["r0"]
     sine = np.hypot(gamma[0], gamma[1])
@@ -118,7 +118,7 @@ def rates(points: Points) -> tuple[Array, Array, Array]:
 
 @shared
 def initial_state(points: Points) -> Array:
-    """Return the state at t = 0, (6, points). w is (p0, q0, r0) or n gamma + m e3 + theta_dot0 about the node."""
+    """Return angular velocity and vertical at t = 0, (6, points). Where p0 is nan, the velocity follows from n, m and theta_dot0."""
     gamma = vertical(points)
     w = angular_velocity(points, points["n"], gamma)
     vector = np.array([points["p0"], points["q0"], points["r0"]])
@@ -126,7 +126,7 @@ def initial_state(points: Points) -> Array:
 
 
 def as_euler_angles(points: Points) -> dict[str, Array]:
-    """Return the same starts with theta0 .. m in place of p0 .. gamma30. At a pole theta_dot0 is hypot(p0, q0)."""
+    """Return the same starts with theta0 .. m in place of p0 .. gamma30. Where sin theta0 = 0, theta_dot0 is hypot(p0, q0)."""
     given = ~np.isnan(points["p0"])
     if not given.any():
         return dict(points)
@@ -136,7 +136,7 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
     turning = (sine <= FAMILY_TOLERANCE) & (theta_dot > 0)
     euler = {
         "theta0": np.arctan2(sine, gamma[2]),
-        # At a pole there is no node, and near a pole rounding decides. This phi0 puts the node along (p0, q0).
+        # If the third axis is vertical up to rounding, the node is undefined. Then phi0 puts the node along (p0, q0).
         "phi0": np.where(turning, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
         "theta_dot0": theta_dot,
         "n": n,
@@ -177,7 +177,7 @@ def possible_start(points: Points) -> Mask:
 
 
 def warnings(points: Points) -> list[str]:
-    """Return a sentence for each moment of inertia below M times the squared offset. No body has such a moment."""
+    """Return a sentence for each moment of inertia below M times the squared distance of the centre of mass from the axis."""
     messages = []
     for moment, a, b in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
         with np.errstate(over="ignore", invalid="ignore"):  # offsets may be huge, and M may be nan
@@ -204,7 +204,7 @@ def conserves_axial_momentum(points: Points) -> Mask:
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Return a lower bound of the scale of each integral, or nan, as System.integral_scales."""
+    """Return a lower bound of the scale of each integral, or nan. See `System.integral_scales`."""
     inertia, rotor, weight, N = bodies(points)
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
@@ -259,5 +259,5 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Return `damping` if it is 0 at all points. Any other term of 0 is kept, because it costs at most 5 % of the time."""
+    """Return `damping` if it is 0 at all points. Other terms that are 0 are kept, because each costs at most 5 % of the time."""
     return {"damping"} & zero, set()

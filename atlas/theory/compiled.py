@@ -24,7 +24,7 @@ FEW_POINTS = 100
 
 @cache
 def of_system(function: FunctionType, system: System, in_machine_code: bool) -> Callable[..., Any]:
-    """Return a theory function for a system, which needs a `polynomial_degree` if the function uses `generated`."""
+    """Bind a function of theory to a system. If the function uses `generated`, the system needs a `polynomial_degree`."""
     with arithmetic.PARSING:
         objects, sources, values = reachable((function,), generated)
         globals_of = [(each.__globals__, each.__code__.co_names) for each in objects.values()]

@@ -48,8 +48,8 @@ def find_motions(
 ) -> tuple[TwoAxes, SteadyTest]:
     """Return the steady motion of each start, or else the motion about the third axis and the vertical, and a `SteadyTest`.
 
-    The points before a nudge are `base`, and `points` are after the nudge, or None without a nudge. Within `angle_tolerance`
-    (rad) of the vertical only the tilt and the rate about the vertical count. The system needs a `polynomial_degree`.
+    The points before a nudge are `base`, and `points` are after the nudge, or None without a nudge. Where the third axis is within
+    `angle_tolerance` (rad) of the vertical, `departure` and `changes` apply other tests. The system needs a `polynomial_degree`.
     """
     before = Starts.of(system, base)
     after, one = before if points is None else Starts.of(system, points), np.ones_like(before.bound)
@@ -155,7 +155,7 @@ def predict_circles(
     nudged: bool,
     in_machine_code: bool = False,
 ) -> Flags:
-    """Return the labels about any axes that `predict_circle` predicts."""
+    """Return the labels that `predict_circle` predicts for motions about any axes."""
     labels = np.empty(own.shape, np.int8)
     label_all = of_system(label_circles, system, in_machine_code)
     label_all(test, own, exact, answer, stable, near, in_range, nudged, labels)

@@ -38,36 +38,36 @@ class Start(NamedTuple):
 
     w: Vector  # angular velocity
     vectors: tuple[Vector, ...]  # vectors at rest in the frame
-    slip: float  # sum of |v' - v x u| over the vectors v
+    slip: float  # sum over the vectors v of |v' - v x u|, with u below; 0 if all v are at rest in the frame
     u: Vector  # angular velocity relative to the frame
     frame: Vector  # angular velocity of the frame, w - u
-    slope: Vector  # w'
-    acceleration: Vector  # u'
+    slope: Vector  # derivative of the angular velocity w
+    acceleration: Vector  # derivative of the relative angular velocity u
     vertical: Vector  # vertical of the frame
 
 
 class SteadyTest(NamedTuple):
-    """Test of a start by the equations. Unless a comment says otherwise, a field describes the start before a nudge."""
+    """Test of a start by the equations. Unless a comment says otherwise, a field describes the start before a nudge of start values."""
 
     answer: Value  # value of Existence
     elsewhere: Value  # whether the start is a steady motion about other axes than the third and the vertical
     may_be_member: Value  # whether the start may be on a family
     kept: Value  # whether the nudged start is a steady motion as exactly as rounding allows
-    pushed: Value  # whether a nudge moved the start off the motions about the third axis and the vertical
-    residual: Value  # residual of a steady motion about the third axis and the vertical, after a nudge
-    change: Value  # largest change of the rates of a steady motion by a nudge, in tolerances
+    pushed: Value  # whether the nudge of start values moved the start off the motions about the third axis and the vertical
+    residual: Value  # residual of the nudged start as a steady motion about the third axis and the vertical
+    change: Value  # largest change of the rates of a steady motion by the nudge, in tolerances
     away: Value  # departure of the nudged start from a steady motion, in tolerances
 
 
 class Membership(NamedTuple):
-    """Test of a start by the families."""
+    """Test of a start by the families. A nudge is an amount that the scene adds to start values."""
 
     varies: Value  # whether the motion turns about the vertical at a varying rate
     elsewhere: Value  # whether the motion is about other axes than the third and the vertical
-    residual: Value  # condition residual of the family before a nudge, inf without a family
-    nudged_residual: Value  # condition residual of the family after a nudge
+    residual: Value  # residual of the family's conditions before the nudge, inf without a family
+    nudged_residual: Value  # residual of the family's conditions after the nudge
     stable: Value  # value of Stability
-    growth: Value  # logarithm of the growth of a distance from the motion over the run; nan if unknown
+    growth: Value  # logarithm of the factor by which a distance from the motion grows during the run; nan if unknown
 
 
 class StartLabels(NamedTuple):
@@ -76,7 +76,7 @@ class StartLabels(NamedTuple):
     label: Value  # value of Label, in the system's frame
     inertial: Value  # value of Label, in inertial space
     answer: Value  # value of Existence
-    growth: Value  # logarithm of the growth of a distance; 0 if unknown or irrelevant
+    growth: Value  # logarithm of the factor by which a distance grows; 0 if unknown or irrelevant
 
 
 def dot(a, b):
@@ -88,7 +88,7 @@ def cross(a, b):
 
 
 def cross_sum(a, b):
-    """Return the vector product with plus signs. For magnitudes it sums the magnitudes of the terms."""
+    """Return the vector product with + in place of -. If `a` and `b` hold magnitudes, the result bounds the vector product."""
     return a[1] * b[2] + a[2] * b[1], a[2] * b[0] + a[0] * b[2], a[0] * b[1] + a[1] * b[0]
 
 

@@ -4,7 +4,7 @@
 2. The equations say whether the start before a nudge is exactly on, near, or far from a steady motion (`steady`).
 3. A start on a family in the plane is exact if it is nudged or if rounding explains the residual, whatever the equations say.
 4. A far start drifts, a near start has no label, and an exact start has the label of the exact statistics.
-5. If a nudge leads to no other steady motion, a stable motion keeps the label, an unstable motion drifts, and others lose it.
+5. If a nudge leads to no other steady motion, stable motions keep the label, unstable motions drift, and others lose the label.
 6. If a nudge leads far from every steady motion, even a near start drifts. If a nudge changes rates by more than KEPT tolerances,
    the label is lost. This rule does not hold for motions in the plane and beyond the range.
 7. If a motion in the plane drifts, growth does not change the label.
@@ -28,7 +28,7 @@ from .steady import FAR, Existence, departure, exact_motion, motion_about_third,
 
 # Rounding explains a dimensionless residual of a steady motion up to this value, and changes larger ones by less than 1 %.
 ROUNDING_RESIDUAL = 1e-13
-# A start with a larger residual is on no family about the third axis and the vertical.
+# A start with a larger residual is on no family of motions about the third axis and the vertical.
 NEARBY = 1e-6
 # A stable motion keeps the label if a nudge changes the rates by at most this many tolerances.
 KEPT = 1 / 3
@@ -67,7 +67,7 @@ def residual_of(body):
     """Return the dimensionless residual of a steady motion about the third axis and the vertical, 0 for an exact motion.
 
     Let u be the angular velocity relative to the frame and U the unit of rates. The residual is the larger of
-    |u' - n m gamma x e3| / U^2 and |e3 x (u - n gamma)| / U. On the vertical, a smaller residual of a rotation about e3 counts.
+    r = |u' - n m gamma x e3| / U^2 and |e3 x (u - n gamma)| / U. If e3 is vertical, r is at most the residual of a rotation about e3.
     """
     _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
@@ -86,8 +86,8 @@ def residual_of(body):
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
     """Return the largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
 
-    The departure is a lower bound of the oscillation of rates. The oscillation of psi' may be 1 / sin(theta) times as large. Within
-    `angle_tolerance` of the vertical the change of the angular velocity counts instead. The argument `start` belongs to `after`.
+    The departure is a lower bound of the oscillation of rates. The oscillation of psi' may be 1 / sin(theta) times as large. If e3 is
+    within `angle_tolerance` of the vertical, the change of the angular velocity is returned. The argument `start` belongs to `after`.
     """
     motion = motion_about_third(start, after.rates)
     away = departure(start, after.constants, motion, after.bound, duration, rate_tolerance, angle_tolerance)
@@ -125,7 +125,7 @@ def predict(
 
 
 def label_of(test, membership, answer, exact, nudged):
-    """Return the label of a start in one frame, without rule 9 on growth."""
+    """Return the label of a start in one frame by rules 4 to 6 of the module docstring."""
     if answer == Existence.EXACT:
         label = after_nudge(exact, membership.stable) if test.pushed else exact
     else:
@@ -138,7 +138,7 @@ def label_of(test, membership, answer, exact, nudged):
 
 
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
-    """Return the label of a motion about any two axes by rule 10.
+    """Return the label of a motion about any two axes by rule 10 of the module docstring.
 
     If the motion is exact about other axes than the third and the vertical, the label is `exact`, the label of the motion's circle,
     or follows from `exact` after a nudge. Otherwise the label is `own`, which `predict` returned. If `near` is true, the angular

@@ -8,8 +8,8 @@ body and an axis nu at rest in the frame. Seen from the body, nu turns about s a
 - If nu is known, n = u'.(nu x u) / |nu x u|^2 and m s = u - n nu.
 - If neither is known, s is along u' x u''.
 
-**Theorem.** Let the right-hand side be a polynomial of degree d in the states. Along a candidate every state is a
-trigonometric polynomial of degree 1 in each of the phases n t and m t. The residual is w' of the equations minus w' of the
+**Theorem.** Let the right-hand side be a polynomial of degree d in the states. Along a candidate for the motion, every state is
+a trigonometric polynomial of degree 1 in each of the phases n t and m t. The residual is w' of the equations minus w' of the
 candidate. It has degree d and is a sum over the frequencies k n + l m with |k|, |l| <= d. If n : m = p : q in lowest terms with
 |p|, |q| <= 2 d, the motion is periodic and the residual has degree d (|p| + |q|) in the phase of the motion. It vanishes for all
 time if and only if it vanishes at N = 2 d (|p| + |q|) + 1 equidistant instants, whose Fourier transform has condition 1. At any
@@ -140,9 +140,9 @@ def motion_about_third(start, rates):
 
 
 def candidate(which, start, second, bound):
-    """Return a candidate for the motion from u, u' and `second`, which is u''.
+    """Return a candidate for the motion u = n nu + m s from u, u' and `second`, which is u''.
 
-    The number `which` says what is assumed: 0 both axes are along u, 1 nu is vertical, 2 s is the third axis, 3 none of these.
+    The number `which` says what is assumed: 0 nu and s are along u, 1 nu is vertical, 2 s is the third axis, 3 none of these.
     """
     u, first, g = start.u, start.acceleration, start.vertical
     least = TERM_ROUNDING * (length(u) + length(start.frame))
@@ -164,7 +164,6 @@ def candidate(which, start, second, bound):
         nu, n = unit(rest, g), length(rest)
         if not n > least:
             n = 0.0
-    # A steady motion has u'' = m u' x s.
     if not length(minus(second, scaled(m, cross(first, s)))) <= GATE * bound**3:
         m = np.nan
     return Motion(s, m, nu, n)
@@ -191,7 +190,7 @@ def is_beside(start, motion, bound):
 
 
 def is_steady(start, constants, motion, bound, derived):
-    """Return whether the residual vanishes at all nodes of a candidate. Errors of axes `derived` from derivatives raise the tolerance."""
+    """Return whether the residual vanishes at all nodes of a candidate. If the axes are `derived`, their errors raise the tolerance."""
     s, m, nu, n = motion
     rate, _ = rest_of(start, motion)
     frame = length(start.frame)
@@ -220,7 +219,7 @@ def is_steady(start, constants, motion, bound, derived):
 
 
 def phases(start, motion):
-    """Return p and q, the direction of the line of phases on which the residual is tested."""
+    """Return integers p and q. The residual is tested where the phases |n| t and |m| t are p and q times one angle."""
     _, m, nu, n = motion
     loose = 0.0
     for i in range(len(start.vectors)):
@@ -263,7 +262,7 @@ def rounding(start, constants, motion):
 
 
 def second_derivative(start, constants):
-    """Return u''."""
+    """Return u'', the second derivative of the angular velocity relative to the frame."""
     bend = derivatives_change(
         start.w, start.vectors, constants, start.slope, turn_all(start.vectors, start.u)
     )
@@ -272,15 +271,15 @@ def second_derivative(start, constants):
 
 
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
-    """Return the first-order change of theta', psi' and phi', in tolerances.
+    """Return the change of theta', psi' and phi' during a run from a start near `motion`, to first order, in tolerances.
 
-    In the cone around the vertical, return the change of the tilt and of the rate about the vertical. A deviation x from
-    `motion`, which is about the third axis and the vertical, obeys x' = A x + f at first. An undamped oscillation that is no faster
-    than `bound` then changes rates by at least |f| / bound.
+    If the third axis is within the angle tolerance of the vertical, return the change of the tilt and of the rate about the vertical.
+    The deviation x of the rates from `motion`, a motion about the third axis and the vertical, obeys x' = A x + f near the start,
+    with a constant f. If x oscillates without damping and no faster than `bound`, the rates change by at least |f| / bound.
     """
     s, m, g, n = motion
     inside = np.hypot(g[0], g[1]) < angle_tolerance
-    if inside:  # n and m are not unique, and with n = 0 the axes rest in the frame
+    if inside:  # near the vertical, n and m are not unique; with n = 0 the axes are at rest in the frame
         m, n = start.u[2], 0.0
     offset, f = rest_of(start, Motion(s, m, g, n))
     time = fmin(1 / bound, duration)

@@ -80,12 +80,12 @@ class FixedPoint(Gyrostat):
     )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Return flag and residual of a family about the third axis and the vertical, or else about other axes."""
+        """Return flag and residual of the family of motions about the third axis and the vertical, or else about other axes."""
         return identify(points, families.ORDER, other_families(self))
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:
-        """Return the flags of families about the third axis and the vertical."""
+        """Return the flags of the families of motions about the third axis and the vertical."""
         return families.identify_family(points)[0]
 
 

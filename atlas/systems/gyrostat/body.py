@@ -278,7 +278,7 @@ def transverse_axes(v: Array) -> Array:
 
 
 def cross_matrix(v: Array) -> Array:
-    """Return the matrices of v x ., shape (..., 3, 3)."""
+    """Return the matrices (..., 3, 3) that map a vector a to v x a."""
     zero = np.zeros_like(v[..., 0])
     rows = ((zero, -v[..., 2], v[..., 1]), (v[..., 2], zero, -v[..., 0]), (-v[..., 1], v[..., 0], zero))
     return np.stack([np.stack(row, -1) for row in rows], -2)

@@ -1,18 +1,20 @@
-"""Floquet multipliers of steady motions that are periodic in the body, for many points at once.
+"""Floquet multipliers of steady motions whose linear equations are periodic in time, for many points at once.
 
-A steady motion turns the body relative to the frame with a constant u = w - Omega gamma in body axes, so that alpha, gamma and
-w turn about u. A small rotation xi of the body in body axes has delta alpha = alpha x xi, delta gamma = gamma x xi and
+The frame turns at Omega gamma, and the unit vectors alpha and gamma are at rest in the frame. A body with the angular velocity w
+turns at u = w - Omega gamma relative to the frame. In a steady motion u is constant in body axes, and alpha, gamma and w turn
+about u. A small rotation xi of the body changes these vectors by delta alpha = alpha x xi, delta gamma = gamma x xi and
 delta w = xi' + w x xi. The Euler-Poisson equations then give
 
     I xi'' = D xi' + E xi,    D = hat(k + 2 I w - tr(I) w),    E = P + D'/2,    P symmetric,
     E = hat(I w + k) hat(w) - hat(w) I hat(w) - I hat(w') - the Hessian of the potential,
 
-These are Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In the variables xi and p = I xi' - D xi / 2 they are a
-linear Hamiltonian system of period 2 pi / |u|. Exponents come in pairs +-lambda.
+with the tensor of inertia I, the momentum k of the rotor and hat(v) a = v x a. These are Lagrange's equations for the Lagrangian
+(xi'.I xi' - xi'.D xi + xi.P xi) / 2. In the variables xi and p = I xi' - D xi / 2 they are a linear Hamiltonian system of period
+2 pi / |u|. Exponents come in pairs +-lambda.
 
 One pair is 0, because xi = u is a solution (a shift in time) and the Jacobi integral is constant. Let e = u / |u|, d = D e / 2
-and S = d e^T + e d^T, which is symmetric. The canonical p~ = p + S xi is 0 for xi = u, and e.p~ is constant. The parts of xi
-and p~ across e therefore form another Hamiltonian system,
+and S = d e^T + e d^T, which is symmetric. The canonical momentum p~ = p + S xi is 0 for xi = u, and e.p~ is constant. The
+parts of xi and p~ normal to e therefore form another Hamiltonian system,
 
     xi' = I^-1 (G xi + p~),    p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~,    G = D/2 - S,    e.p~ = 0,
 
@@ -39,9 +41,10 @@ _MIN_STEPS, _MAX_STEPS = 64, 8192  # limits of the steps in a period; longer per
 _ADIABATIC_PHASES = 256
 # The adiabatic logarithm of the growth over a period is wrong by a few units. Above this value it means instability.
 _ADIABATIC_GROWTH = 10.0
-# Nothing grows if the distance of frozen exponents from a collision exceeds this multiple of the rate of rotation.
+# The adiabatic growth is 0 if the exponents at each fixed phase are farther from a collision than this multiple of 2 pi / period.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # steps per unit of norm x period for closed forms; trace errors are below 1e-7
+# For motions in closed form, steps = this number * period * largest norm of the matrix. Errors of traces are then below 1e-7.
+_STEPS_PER_NORM = 2
 _MIN_STEPS_CLOSED = 32
 
 
@@ -75,7 +78,7 @@ class _Periodic:
         self.steps = 2.0 ** np.ceil(np.log2(steps))
 
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """Write of(fundamental matrices, log scale factors) into `result` at the points that are integrated. Return `result`."""
+        """Write into `result` what `of` returns for fundamental matrices and log scale factors of integrated points. Return `result`."""
         for count in np.unique(self.steps[np.isfinite(self.steps)]):
             members = np.flatnonzero(self.steps == count)
             part = self.harmonics[:, members], self.period[members], self.span[members]
@@ -93,8 +96,6 @@ class _Periodic:
 
 
 class _Rotation(_Periodic):
-    """Linearised equations of bodies that turn steadily."""
-
     def __init__(self, body: Body, w: Array, alpha: Array, gamma: Array, duration: Array | None = None):
         self.rate = np.abs(body.turn) + length(w)
         body, w = body.scaled(self.rate), w / self.rate[:, None]
@@ -121,8 +122,8 @@ class _Rotation(_Periodic):
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
         """Return the logarithm of the growth over a period much longer than the oscillations, or nan if uncertain.
 
-        It is the integral of the largest real part of the frozen exponents, the roots of lambda^4 + P lambda^2 + Q = 0. Where
-        all roots are imaginary and far from a collision, the actions are adiabatic invariants and nothing grows.
+        The exponents at a fixed phase are the roots of lambda^4 + P lambda^2 + Q = 0. The logarithm is the integral of their largest
+        real part. Where all roots are imaginary and far from a collision, the actions are adiabatic invariants and nothing grows.
         """
         period, harmonics = self.period[members], self.harmonics[:, members]
         total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)
@@ -140,7 +141,7 @@ class _Rotation(_Periodic):
 
 
 def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128]) -> Array:
-    """Return the matrices of a mean and two harmonics at phase factors exp(i angle), (..., points)."""
+    """Return matrices at the phase factors `phase` = exp(i angle), (..., points), as sums of a mean and two harmonics."""
     mean, first, second = harmonics
     phase = phase[..., None, None]
     return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)

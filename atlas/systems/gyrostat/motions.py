@@ -70,7 +70,7 @@ class Start(ABC):
 
     @property
     def squared_rate(self) -> Array:
-        """Largest squared rate of frame and body, or torque of fields or rotor over `moment` if this is larger."""
+        """Largest of the squared rates of frame and body, and of the torques of fields and rotor divided by `moment`."""
         square = np.maximum((self.w**2).sum(0), np.square(self.turn))
         torque = np.maximum(self.field_torque, length(self.rotor) * np.sqrt(square))
         return np.maximum(square, torque / self.moment)
@@ -95,9 +95,10 @@ def family_about_axes(
     turn: Callable[[Points], Array] | None = None,
     **attributes: Any,
 ) -> Family:
-    """Return a family of the class `kind` of starts, with `conditions` whose residuals are functions of a start.
+    """Return a family. Axes and residuals are computed from a start, an object of the class `kind`.
 
-    The functions `directions` and `turn` are those of `motion_of`. Further `attributes` are passed to the family.
+    Each of the `conditions` has a text and a function of a start that returns the residual. The functions `directions` and `turn`
+    are those of `motion_of`. Further `attributes` are passed to the family.
     """
 
     def of_points(function: Callable[[Any], Any], points: Points) -> Any:
@@ -186,7 +187,7 @@ def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, So
 
 
 def nearest_root(roots: Array, near: Array) -> Array:
-    """Return the root nearest to `near`, or for near = inf the largest of several in magnitude. Return nan if no such root exists."""
+    """Return the root nearest to `near`, or nan for no root. For near = inf, return the largest root in magnitude, or nan for one root."""
     finite = np.isfinite(roots)
     distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
     nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]

@@ -21,7 +21,7 @@ other momenta and do not concern stability, but rounding would turn them into a 
 lowest coefficient of the cubic, which is 0, is therefore left out with the root 0.
 
 The Jacobi integral is xi'.I xi' / 2 + W, so that an equilibrium is stable by energy where W'' is positive definite (Lagrange,
-Dirichlet). If the momenta about cyclic directions E are constant, the Hessian at fixed momenta counts instead. It is
+Dirichlet). If the momenta about cyclic directions E are constant, the Hessian at fixed momenta decides instead. It is
 W'' + F (E^T I E)^-1 F^T with F = v x E (Routh, Rumyantsev). Damping destroys the momenta and does not change W. Dissipation
 inside the body conserves the momentum about an axis of symmetry of the frame, but not of the body (see `energy_minima`).
 Frequencies are computed without damping.
@@ -40,7 +40,7 @@ from ...flags import EnergyStability, Stability
 from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
 from .body import Body, cross_matrix, length, quadratic_roots, transverse_axes
 
-# Exponents closer than this, in units of Body.rate, coincide, because a double root has the square root of rounding as error.
+# Exponents that differ by less than this, in units of Body.rate, count as equal. Rounding by r changes a double root by sqrt(r).
 GROWTH_TOLERANCE = 1e-6
 _PARALLEL = 1e-9  # largest sine of the angle between axes that count as parallel
 _ZERO = 1e-6  # frequencies and real parts below this fraction of the largest exponent are zero
@@ -54,7 +54,8 @@ class Equilibria(NamedTuple):
     alpha: Array  # (points, 3)
     gamma: Array
     rate: Array  # unit of rates, rad per time unit, (points,)
-    cyclic: Array  # independent axes (vertical, axis of symmetry) about which turns keep the energy, or 0, (points, 3, 2)
+    # Vertical and axis of symmetry, (points, 3, 2). A column is 0 if turns about it change the energy; one of two equal columns is 0.
+    cyclic: Array
     free: Mask  # where nothing acts and gamma is chosen along the angular momentum
 
     @classmethod
@@ -114,7 +115,7 @@ class Equilibria(NamedTuple):
         finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of small rates may underflow
         result[cubic[finite]] = np.linalg.eigvals(companion[finite])
         result[cubic[~finite]] = result[~np.isfinite(P + Q)] = np.inf
-        # The displaced angular momentum of a free body turns at -Omega in the frame. This root x = -Omega^2 is no oscillation.
+        # A free body's angular momentum rests in space. The root x = -Omega^2 is due to the rotation of the frame and is no oscillation.
         free = np.flatnonzero(self.free & (degree > 0))
         result[free, 0] = -P[free] + self.body.turn[free] ** 2
         result[free, 1] = np.nan
@@ -249,7 +250,10 @@ def _verdict(least: Array) -> Flags:
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Return body and motion. A sphere gets its first axis along a common line of rotor and fields, or normal to `w` if both are 0."""
+    """Return body and motion in new axes if the body is a sphere and if rotor and fields are along one line.
+
+    The new first axis, an axis of symmetry, is along this line, or normal to `w` if rotor and fields are 0.
+    """
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma
@@ -275,7 +279,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Return the rate of a frame where bodies rest or turn about an axis of symmetry, the axis or -1, and whether a frame exists."""
+    """Return the rate of a frame, an axis of symmetry or -1, and whether bodies rest in the frame or turn about this axis in the frame."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

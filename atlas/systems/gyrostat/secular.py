@@ -54,7 +54,7 @@ class SecularEquation:
         return near
 
     def write_directions(self, g: Array, dimension: NDArray[np.int8]) -> None:
-        """Write the directions of the roots into columns 0 to 5 of `g`, and their dimensions."""
+        """Write a direction for each root into columns 0 to 5 of `g`. Write 0, -1 (no root) or NEARLY into these columns of `dimension`."""
 
         def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
             g[:, column] = self.direction(shift, origin)

@@ -16,7 +16,7 @@ from .oscillations import Equilibria, energy_minima
 
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
 _CHUNK = 2048  # number of points whose exponents are computed together
-# Growth over a run up to this logarithm is a change of amplitude and no instability.
+# If the logarithm of the growth over a run is at most this number, the growth is a change of amplitude and no instability.
 _AMPLITUDE_GROWTH = 10.0
 
 
@@ -183,7 +183,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
     In general it is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
-    contain only unstable phases. The growth from start to end of the run then counts if its logarithm exceeds _AMPLITUDE_GROWTH.
+    contain only unstable phases. The growth from start to end of the run is then taken if its logarithm exceeds _AMPLITUDE_GROWTH.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):
@@ -239,7 +239,6 @@ def conservative(system: Gyrostat, points: Points) -> tuple[Flags, Mask]:
 
 @shared
 def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
-    """Return values of flags.StabilityKind."""
     stable, growth = system.linear_stability(points, system.oscillation_families(points))
     return stability_kind(stable, growth, energy_stable(system, points), conservative(system, points)[1])
 

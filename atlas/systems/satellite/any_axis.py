@@ -48,7 +48,7 @@ class Start(motions.Start):
         return np.abs(balance) * length(cross(s, self.gamma))
 
     def dissipation(self) -> Array:
-        """Return the residual of the damping torque on the rotation relative to the orbital frame."""
+        """Return the residual of the damping torque, which opposes the rotation relative to the orbital frame."""
         damping, rate = self.points["damping"], np.sqrt(self.squared_rate)
         turning = length(self.w - self.turn * self.gamma)
         return ratio(damping * turning, rate * (self.moment * rate + damping))

@@ -35,7 +35,6 @@ def node(p: Points) -> tuple[Array, Array]:
 
 @shared
 def largest_inertia(p: Points) -> Array:
-    """Return the largest moment of inertia J."""
     return np.maximum(np.maximum(p["A"], p["B"]), p["C"])
 
 
@@ -55,7 +54,6 @@ def momentum_scale(p: Points) -> Array:
 
 @shared
 def magnetic_moment(p: Points) -> Array:
-    """Return the magnitude of the magnetic moment."""
     return np.sqrt(p["mu1"] ** 2 + p["mu2"] ** 2 + p["mu3"] ** 2)
 
 
@@ -126,7 +124,7 @@ def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
 
 
 def oblique_balance(p: Points, without_pole: bool = False) -> Array:
-    """Return the balance of an oblique axis. `without_pole` removes the pole at cos psi0 = 0 by a factor cos psi0."""
+    """Return left minus right side of OBLIQUE_BALANCE. `without_pole` multiplies by cos psi0, which removes the pole of tan psi0."""
     sp, cp = node(p)
     balance, drag = 3 * p["Omega"] ** 2 * tilt(p)[0] * sp * flatness(p) - p["h1"] * p["mu3"], p["drag3"] * sp
     return (

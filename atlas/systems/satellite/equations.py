@@ -22,9 +22,9 @@ kernels use units in which most factors are 1 (`scaled`). Everywhere else a and 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Unit vectors at rest in the orbital frame.
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
-# The parameters of body and fields come first. h1 is divided by |a|. Omega and h3 are divided by |g|, and drag by |a| |g|.
-# Factors in the right-hand side follow: D1 = (B - C)/A and so on, N = 3 Omega^2 / |a|^2 (here Omega is undivided), a_inv = 1 / |a|,
-# g_inv = 1 / |g|, and rotor, magnet, drag and damping divided by moments of inertia.
+# Parameters of body and fields come first. The vectors a (radius) and g (normal) may have any length. Therefore h1 is divided by
+# |a|, Omega and h3 by |g|, and drag by |a| |g|. Factors in the right-hand side follow: D1 = (B - C)/A and so on, a_inv = 1 / |a|,
+# g_inv = 1 / |g|, N = 3 Omega^2 / |a|^2 (here Omega is undivided), and rotor, magnet, drag and damping divided by moments of inertia.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
@@ -120,7 +120,7 @@ def axis_in_frame(state, constants):
 
 
 def jacobi(state, constants):
-    """Jacobi integral L2 - L0 + V of (2), (3) and drag, written in absolute rates."""
+    """Jacobi integral L2 - L0 + V of the Lagrangian (2) and the potential (3) in the paper, with drag, in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, *_,
@@ -170,7 +170,7 @@ def axial_momentum(state, constants):
 
 
 def jacobi_loss(state, constants):
-    """Return the loss of `jacobi` per time, damping u.u."""
+    """Return the loss of `jacobi` per time, which is damping times |u|^2 for u = w - Omega g."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, *_, damping_A, damping_B, damping_C = constants
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
@@ -178,7 +178,7 @@ def jacobi_loss(state, constants):
 
 
 def axial_momentum_loss(state, constants):
-    """Return the loss of `axial_momentum` per time, damping u3."""
+    """Return the loss of `axial_momentum` per time, which is damping times u3 = w3 - Omega g3."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, *_, damping_A, damping_B, damping_C = constants
     return A * damping_A * (w3 - Omega * g3)

@@ -15,10 +15,12 @@ the last equation. The families perp_radius and oblique allow such drag, equilib
 Drag across the axis allows more motions, which only the test of the equations finds.
 
 The module `conditions` has the equations, which are solved for parameters in which they are linear. The families overlap, and a
-point belongs to the first family in the order of FAMILIES. Let J be the largest moment of inertia and T = |mu| |h| + |drag|.
-Residuals are divided by J, the rate R = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J), the momentum J R + |k| or the torque
-R (J R + |k|) + T. With Omega = 0 every family is still exact, but a free or heavy body has more steady motions. With damping
-only motions at rest in the orbital frame, u = 0, remain steady, because the Jacobi integral of all other motions falls.
+point belongs to the first family in the order of FAMILIES. With Omega = 0 every family is still exact, but a free or heavy body
+has more steady motions. With damping only motions at rest in the orbital frame, u = 0, remain steady, because the Jacobi
+integral of all other motions falls.
+
+Let J be the largest moment of inertia, T = |mu| |h| + |drag| and R = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J).
+Residuals of moments of inertia are divided by J, of rates by R, of momenta by J R + |k|, and of torques by R (J R + |k|) + T.
 """
 
 from __future__ import annotations
@@ -41,11 +43,8 @@ from .initial import body_vectors, directions, initial_state
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
 
 
-# Solvers for parameters in which the equations are not linear.
-
-
 def _psi_on_velocity(p: Points) -> Array:
-    """Return pi/2 or -pi/2 (mod 2 pi) with the sign of the given sin psi0. The result for 0 is pi/2."""
+    """Return the odd multiple of pi/2 that is nearest to psi0. For a multiple of pi, return the larger of the two nearest."""
     return np.pi * (np.floor(p["psi0"] / np.pi) + 0.5)
 
 
@@ -78,7 +77,7 @@ def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
     harmonics = np.moveaxis(np.fft.fft(values, axis=0)[[-2, -1, 0, 1, 2]], 0, -1)
     companion = np.zeros((*p[name].shape, 4, 4), complex)
     companion[..., [1, 2, 3], [0, 1, 2]] = 1.0
-    with np.errstate(all="ignore"):  # divides by 0 if the degree is lower
+    with np.errstate(all="ignore"):  # the last harmonic is 0 if the degree is below 2
         companion[..., 3] = -harmonics[..., :4] / harmonics[..., 4:]
     finite = np.asarray(np.isfinite(companion).all((-2, -1)))
     roots = np.linalg.eigvals(np.where(finite[..., None, None], companion, 0.0))
@@ -110,7 +109,7 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """Return psi0 from 3 Omega^2 s (a - C) sin psi0 = h1 mu3 and the sign of cos psi0. With drag3, return the root nearest to psi0."""
+    """Return psi0 from OBLIQUE_BALANCE. Without drag3, cos psi0 keeps the sign. With drag3, take the root nearest to the given psi0."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
@@ -241,7 +240,7 @@ _TABLE = (
         ),
         solve={
             "psi0": _psi_on_velocity,
-            # With sin psi0 = +-1 and sin psi0 h1 (Omega + m c) = m s h3, the same k1 and k2 solve both pairs of equations.
+            # If the function below is 0, the same k1 and k2 solve SPINNING_PAIR and NODE_PAIR, because sin psi0 = +-1.
             **linear(
                 lambda p: (
                     node(p)[0] * p["h1"] * (p["Omega"] + p["m"] * tilt(p)[1]) - p["m"] * tilt(p)[0] * p["h3"]
@@ -282,7 +281,7 @@ _TABLE = (
             the.SPINNING_PAIR, the.NODE_PAIR, the.TILT_BALANCE,
         ),
         solve={
-            # theta0 is pi/3 or 2 pi/3, where cos theta0 has the given sign.
+            # theta0 becomes pi/3 or 2 pi/3, and the sign of cos theta0 is kept.
             "theta0": lambda p: np.where(np.cos(p["theta0"]) < 0, 2 * np.pi / 3, np.pi / 3),
             "psi0": _psi_on_velocity,
             **the.ASYMMETRIC_TILT_SPIN.solve("m"),
@@ -351,7 +350,7 @@ FAMILIES = numbered(
 
 
 def squared_rate(points: Points) -> Array:
-    """Return the largest squared rate of orbit, body, magnet and drag at the start."""
+    """Return the largest of Omega^2, |w|^2 at the start, and `field_torque` divided by the least moment of inertia."""
     turn = np.maximum(points["Omega"] ** 2, (initial_state(points)[:3] ** 2).sum(0))
     min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
     return np.maximum(turn, field_torque(points) / min_inertia)

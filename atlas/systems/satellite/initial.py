@@ -123,7 +123,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 def frequency_bound(points: Points) -> Array:
     """Return an upper bound of the fastest frequency, rad per time unit, in the way of Body.frequency_bound.
 
-    Damping D adds D I^-1, whose norm is D / least moment, to the block of w, and D Omega I^(-1/2) to the block of gamma.
+    Damping D adds -D I^-1 y + D Omega I^(-1/2) gamma to the equations of y = sqrt(I) w. The norm of D I^-1 is D / least moment.
     """
     inertia, k, mu = body_vectors(points)
     (A, B, C), Omega = inertia, np.abs(points["Omega"])
@@ -133,7 +133,7 @@ def frequency_bound(points: Points) -> Array:
     field = np.hypot(points["h1"], points["h3"])
     moment, rotor, drag = length(mu), length(k), drag_vector(points)
 
-    # The kinetic energy is at most the start value plus, for each term of the potential, the start value minus the minimum.
+    # The kinetic energy grows by at most the sum of the falls of all terms of the potential from the start to their minima.
     kinetic = 0.5 * (inertia * u**2).sum(0)
     gravity = 1.5 * Omega**2 * ((inertia * alpha**2).sum(0) - inertia.min(0))
     centrifugal = 0.5 * Omega**2 * (inertia.max(0) - (inertia * gamma**2).sum(0))
@@ -144,8 +144,7 @@ def frequency_bound(points: Points) -> Array:
     energy = kinetic + gravity + centrifugal + gyroscopic + magnetic + dragging
     energy = np.maximum(energy, 0.0)
 
-    # If C w3 + k3 is conserved, w3 is constant. The perturbation of w3 then decouples, and the bound does not depend on C as a
-    # moment of inertia.
+    # If C w3 + k3 is conserved, w3 is constant. Torques then change only w1 and w2, and are divided by the moment A.
     symmetric = conserves_axial_momentum(points)
     min_inertia = np.where(symmetric, A, inertia.min(0))
     max_rates = np.sqrt(2 * energy / inertia) + Omega

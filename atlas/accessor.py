@@ -113,7 +113,7 @@ class Atlas(Questions):
         return in_degrees(nearest(self._ds, coords, degrees), degrees)
 
     def to_dataframe(self, *, degrees: bool = False) -> pd.DataFrame:
-        """Table of pandas with a row for each point, in memory.
+        """A pandas table with a row for each point, in memory.
 
         Parameters
         ----------
@@ -267,7 +267,7 @@ class Atlas(Questions):
         return differences.report(self._ds, other, worst, degrees)
 
     def differences(self, other: xr.Dataset) -> xr.Dataset:
-        """Changes of flags and of numbers from this atlas to another one on the same grid, for maps.
+        """Changes of flags and numbers from this atlas to another one on the same grid. Maps can show the changes.
 
         Parameters
         ----------

@@ -82,7 +82,7 @@ def border_error(
     select: Mapping[str, float] | None = None,
     degrees: bool = False,
 ) -> BorderError:
-    """How sure the borders of a map are: half a cell, the distance from theory, and what half the step changed.
+    """How sure the borders of a map are: half a cell, the distance from theory, and the effect of halving the step.
 
     Parameters
     ----------

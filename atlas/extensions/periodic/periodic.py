@@ -122,7 +122,7 @@ def periodic(
     Raises
     ------
     BadInput
-        If the start is no steady motion, has no such frequency, or Lyapunov's theorem gives no family; for several bodies, only if all fail.
+        If the start is no steady motion, has no such frequency, or Lyapunov's theorem gives no family. If all of several bodies fail.
 
     Notes
     -----

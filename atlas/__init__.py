@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES or name in _extension.parts("functions"):
         from importlib import import_module
 
-        import_module(".registration", __name__)  # equations of the user may use ds.atlas
+        import_module(".registration", __name__)  # registers ds.atlas, which equations of the user may use
         if name not in _MODULES:
             return _extension.load("functions", name)
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)

@@ -417,13 +417,13 @@ class Atlas(Questions):
         Dataset
             - uncertain (stride): fraction of the cells of side 1, 2, 4, ... whose corners differ. The fraction for side 1 is the
               part of the map in which a border runs.
-            - exponent: least-squares slope of log(uncertain) over log(side) [1]_, or nan with fewer than two sides whose fraction
-              is above 0. The slope is 1 for smooth borders and near 0 for fractal borders, which finer grids hardly sharpen. The
+            - exponent: least-squares slope of log(uncertain) over log(side) [1]_, or nan if fewer than two values of `uncertain`
+              are above 0. The slope is 1 for smooth borders and near 0 for fractal borders, which finer grids hardly sharpen. The
               dimension of the borders is the number of axes minus the exponent.
             - entropy: mean of -sum p ln p over boxes of `atlas.analysis.trust.BOX` points along each axis, where p are the
               fractions of the flags in a box [3]_.
             - border_entropy: the same mean over boxes with several flags. A value above ln 2 means fractal borders.
-            - missed: fraction of the cells of side 2 with equal corners that have another value at a point between the corners,
+            - missed: of the cells of side 2 whose corners are equal, the fraction that has another value at a point between corners,
               such as an island or a thin tongue.
             - missed_bound: upper 95 % bound of missed [2]_, if cells are independent samples. The bound holds for cells of side
               2. The cells of the map have side 1 and miss less if the exponent is above 0.

@@ -1,4 +1,4 @@
-"""Extensions, which add parts to the core. The entry points `atlas.extensions` of installed packages name them."""
+"""Extensions, which add parts to the core. Installed packages name their extensions in entry points of the group `atlas.extensions`."""
 
 from __future__ import annotations
 

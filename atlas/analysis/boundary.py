@@ -114,7 +114,7 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
 
 
 def borders(plane: Plane, variable: str = "label") -> Lines:
-    """Return the lines of KINDS on a plane, in the frame to which `variable` belongs."""
+    """Return lines on a plane by the names in KINDS. Kinds that depend on the frame are taken in the frame to which `variable` belongs."""
     lines = cached_lines(lambda: theory_borders(plane), plane)
     frame = IN_SPACE if variable.endswith("_inertial") else ""
     names = {name: name + frame * kind.of_frame for name, kind in KINDS.items()}
@@ -137,7 +137,7 @@ def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
 
 
 def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
-    """Return class 1 for a negative rate, else 2. Nudged unstable motions, and motions other than regular precession, have class 0."""
+    """Return 1 for a regular precession with a negative rate, 2 for one with another rate, 0 for other and for nudged unstable motions."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 

@@ -30,10 +30,10 @@ from .metadata import (
 # A point counts as near the analytical boundary within this fraction of the axis range. Near the boundary growth is slow, and stable
 # motions have large amplitudes.
 BAND = 0.02
-# An unstable motion may be labelled steady up to this product of growth_rate and duration. With a nudge of 1e-4 and a tolerance of 1e-3
-# a motion may stay within the tolerance while a disturbance grows by e^12.
+# An unstable motion may be labelled steady while the product of growth_rate and duration is below this number, because growth by
+# a factor of e^12 = 160 000 may still leave the effect of a small nudge within the tolerance.
 MAX_SURVIVED_GROWTH = 12.0
-# Variations of the rates, the largest of which is the unsteadiness of a point.
+# Variations of the rates. The largest of these variations is the unsteadiness of a point.
 VARIATIONS = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 # Variables that are needed to compare motions in the plane with the stability that theory gives.
 OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
@@ -108,7 +108,7 @@ def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
     near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
     steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
     drift = (stable == Stability.STABLE) & (label == Label.DRIFTING)
-    drift &= ds["predicted"].values != Label.DRIFTING  # theory predicts that motions in the plane drift
+    drift &= ds["predicted"].values != Label.DRIFTING  # points at which theory predicts drift do not count
     survive = (stable == Stability.UNSTABLE) & steady
     lines = [
         f"linearly {description}: {points.sum()}"

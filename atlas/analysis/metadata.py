@@ -32,7 +32,7 @@ TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
-# Attribute of variables that hold positions in a list. The text "not_settled equilibrium" calls -1 not_settled and 0 equilibrium_0.
+# Attribute of variables that hold positions in a list. With the text "none end", the value -1 is named none, and 0 is named end_0.
 POSITIONS = "atlas_positions"
 
 
@@ -92,9 +92,9 @@ def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
     return ds.assign({name: ds[name].where(~proved, Label.NOT_COMPUTED).astype(np.int8) for name in labels})
 
 
-# Coordinates are equal within the relative difference COORDINATE_ROUNDING, or within SPACINGS machine epsilons of their type.
+# Coordinates count as equal up to the relative difference COORDINATE_ROUNDING or SPACINGS machine epsilons, whichever is larger.
 COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
-MAX_COMPARED = 400  # about the largest number of points at which coordinates are compared with the scene
+MAX_COMPARED = 400  # coordinates are compared with the scene at no more than about this many points
 CHANGED = (
     "the datasets of several scenes were joined, or coordinates were changed; use an atlas as its run made it"
 )
@@ -209,7 +209,7 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Return the axes along which points have neighbours: axes with distinct numbers, except those of listed points and random draws."""
+    """Return the axes with distinct numbers, except axes that count listed points or random draws. Points there have no neighbours."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}

@@ -32,7 +32,7 @@ class Predictions:
 
     exists: Mask  # whether the scene has a motion at the point
     stable: np.ndarray  # linear stability, values of Stability
-    # For each frame ("" or IN_SPACE), values of Label for exact motions, and psi' ("n") and phi' ("m") in rad per time unit.
+    # Frame ("" or IN_SPACE) -> values of Label for exact motions, and the rates psi' (key "n") and phi' (key "m") in rad per time unit.
     frames: Mapping[str, tuple[np.ndarray, Mapping[str, Array]]]
 
 

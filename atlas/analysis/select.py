@@ -122,7 +122,7 @@ def _number(name: str, value: object) -> float:
 
 
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """Return the part of an atlas nearest to values of axes. Raise BadInput for other names and for values outside the cells of maps."""
+    """Return the part of an atlas nearest to values of axes. Raise BadInput if a name is no axis or a value is over half a cell outside."""
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None

@@ -69,14 +69,14 @@ DIVISION, LEVELS = 3, 2
 # If the first samples take more seconds than this, tracing takes more than two seconds and is announced.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
-# A vertex is found by TRISECTIONS steps on two axes (to about 1e-5 of each axis), and by LINE_TRISECTIONS steps on a single axis.
+# Numbers of steps that find a vertex. TRISECTIONS is for planes with two axes (to about 1e-5 of each), LINE_TRISECTIONS for one axis.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
 # A line is first cut into stretches of about STRETCH vertices. A stretch within FLATNESS cells of its chord is straight.
 STRETCH, FLATNESS = 16, 0.05
 
 # Kind of line -> class of each point. The class is 1 or 2 on the two sides of a line, and 0 at points without such lines.
 Classes = Mapping[str, Flags]
-Codes = NDArray[np.int64]  # for each point, one number that encodes the classes for all kinds of line
+Codes = NDArray[np.int64]  # one number for each point, which encodes the point's class for every kind of line
 
 
 def class_borders(
@@ -128,7 +128,7 @@ def narrowed_lines(
     low, high = np.floor(halfway + 0.25), np.ceil(halfway - 0.25)
     at_low = values[tuple(low.astype(int).T)] > level
     vertices = np.full(halfway.shape, np.nan)
-    # A line has at least two stretches, because both ends of a closed line are the same vertex.
+    # A line has at least two stretches, because a single stretch of a closed line would begin and end at the same place.
     knots = [np.unique(np.linspace(i, j - 1, 3 + (j - i) // STRETCH, dtype=int)) for i, j in pairwise(starts)]
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
@@ -232,7 +232,7 @@ def shown_parts(line: Array, shown: Mask) -> list[Array]:
 
 
 def within(line: Array, low: Array, high: Array) -> list[Array]:
-    """Return the parts of a line inside a box, which end on the sides of the box."""
+    """Return the parts of a line inside a box. Where the line leaves the box, a part ends on a side of the box."""
     for axis, side in product(range(line.shape[1]), (low, high)):
         beyond = line[:, axis] - side[axis]
         i = np.flatnonzero(beyond[:-1] * beyond[1:] < 0)
@@ -242,7 +242,7 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
         line = np.insert(line, i + 1, crossing, axis=0)
     shown = np.all((line >= low) & (line <= high), axis=1)
     parts = shown_parts(line, shown)
-    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that starts inside
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that starts in the box
         parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
     return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
 
@@ -277,12 +277,12 @@ def contours(values: Array, level: float) -> list[Array]:
     return cast("list[Array]", generator.lines(level))
 
 
-# A crossing is recognised by a linear extrapolation whose relative error is below this.
+# Extrapolation of a frequency difference across a crossing may err by up to this fraction of the summed differences on the two sides.
 _CURVATURE = 0.5
 
 
 def crossings(difference: Array) -> list[Array]:
-    """Return segments on which two frequencies cross, so that the larger minus the smaller frequency has a kink at 0.
+    """Return segments on which two frequencies cross. `difference`, the larger minus the smaller frequency, has a kink at 0 there.
 
     At a kink, the difference extrapolated from one side is the negative of the difference on the other side.
     """

@@ -82,7 +82,7 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:
-    """Whether the values in each cell differ. Along each axis, every `step`-th point begins a cell, whose points are at `offsets`."""
+    """Whether the values in each cell differ. A cell begins at every `step`-th point of an axis, and has points at `offsets` from there."""
     low = high = values
     for axis in range(values.ndim - n_axes, values.ndim):
         first = np.arange((values.shape[axis] - 1) // step) * step

@@ -38,13 +38,13 @@ PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "g
 
 @dataclass(eq=False)
 class FastSpin:
-    """A body of the paper with the quantities of (4), (5), (10) and (30). Raise BadInput where a formula is undefined."""
+    """A gyrostat with the numbers of equations (4), (5), (10) and (30) of Amer et al. Raise BadInput where a formula is undefined."""
 
     A: Any  # equal to B, kg m2; every field is kept as an array
     C: Any  # kg m2
     weight: Any  # Mg z0, N m
     N: Any  # gradient of the Newtonian field, s-2
-    l1: Any  # N m s
+    l1: Any  # l1, l2 and l3 are the angular momentum of the rotor, N m s
     l2: Any
     l3: Any
     r0: Any  # rad s-1
@@ -63,7 +63,7 @@ class FastSpin:
         )
         _raise_where(self.weight == 0, "Mg z0 = 0: the unit c sqrt(gamma0'') of p and q in (4) vanishes")
         _raise_where(C * r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega")
-        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''), the unit of p and q
+        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''); c^2 = |Mg z0| / C
         self.eps = self.scale / r0
         self.a, self.A1 = A / C, (C - A) / A
         self.k = self.N * C / np.abs(self.weight) * self.gamma0  # N gamma0'' / c^2; (4) prints N / c^2
@@ -88,7 +88,6 @@ class FastSpin:
 
 
 def _raise_where(bad: Mask, reason: str) -> None:
-    """Raise BadInput if the condition holds anywhere."""
     if np.any(bad):
         raise BadInput(reason)
 
@@ -146,7 +145,7 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 
 def p2_gamma2(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """Return p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2 by (10) with chi = 0. Given dy/dtau as `y`, return p2' and gamma2'."""
+    """Return p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, which is (10) for chi = 0. If `y` is dy/dtau, return p2', gamma2'."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
@@ -315,7 +314,7 @@ def true_acceleration(spin: FastSpin, y: Array) -> Array:
 SAMPLES = 201  # number of instants of a run at which errors are computed
 # Number of points that are integrated together. More points share the overhead of a step, but need more memory.
 CHUNK = 512
-# Largest number of evaluations of the equations for a chunk of points. Runs as long as MAX_RADIANS need less than half as many.
+# Largest number of evaluations of the equations for a chunk of points. The longest runs, of MAX_RADIANS, need less than half of it.
 MAX_EVALUATIONS = 200_000
 
 

@@ -42,7 +42,7 @@ def formulas(values: Values, *names: str) -> Array:
 
 @lru_cache(maxsize=8)  # coefficients are needed at every step of an integration
 def coefficients(spin: FastSpin) -> Values:
-    """Return `numbers`, chi, chi1, nu of (10) and X, chi2, nu2 of (11) for a body. Raise BadInput where a formula divides by zero."""
+    """Return the result of `numbers`, with chi, chi1, nu of (10) and X, chi2, nu2 of (11). Raise BadInput where a divisor is zero."""
     values = numbers(spin)
     if np.any(spin.A1 == 0):
         raise BadInput("A1 = 0 (A = C): X of (11) divides by A1")
@@ -109,7 +109,7 @@ def check(points: Points, duration: Array) -> None:
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
-    """Return the correction alpha of (33) to the period of one turn. The full equations give alpha by the mean phase rate of g1 + i g1'."""
+    """Return the correction alpha of (33) to the period of a turn, from the mean rate of the phase of g1 + i g2 by the full equations."""
     tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
     y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
     rate = fast_spin.rhs(spin, y)
@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
-    """Return the error of chi1 and nu. The part eps chi1 G of w must turn at G's rate, -1, and the part eps nu w of G at w's rate, Omega."""
+    """Return the error of chi1 and nu. In w = p1 + i q1, eps chi1 G must turn like G = g1 + i g2. In G, eps nu w must turn like w."""
     chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
@@ -204,7 +204,7 @@ def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
 
 
 def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:
-    """Return chi minus the term A1 (q1 l1 - p1 l2) q1 / (C r0) of (7), on the forced motion w = mu / Omega."""
+    """Return chi minus the term A1 (q1 l1 - p1 l2) q1 / (C r0) of (7), on the forced motion p1 + i q1 = mu / Omega."""
     y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
     return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
 
@@ -235,7 +235,7 @@ MEASURES: dict[str, EntryMeasure] = {
     "(3), S1": _of_body(partial(_constancy, 0), integrals, fast_spin.integrals),
     "(4)": _of_body(partial(_rate_error, 0), rhs, fast_spin.rhs),
     "(7), (15)": _of_body(
-        # the squared frequency is the square of the derivative of q1' by p1
+        # the derivative of q1' by p1 is the frequency of p1 and q1
         lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
         frequency_squared,
         lambda spin: spin.Omega**2,
@@ -269,7 +269,7 @@ MEASURES: dict[str, EntryMeasure] = {
         _kernel_24, lambda spin: (1, np.sqrt(frequency_squared(spin))), lambda spin: (1, 1), _FAST
     ),
     "(24), g_k": _of_body(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
-    # size of W1 where its sign is wrong
+    # The printed form says W1 > 0, the true form W1 < 0. The error is |W1| where W1 has the other sign.
     "(32)": _of_body(
         lambda spin, rng, sign: np.maximum(0, -sign * formulas(coefficients(spin), "W1")), 1, -1, paper_spin
     ),

@@ -68,7 +68,7 @@ def state(y: Array, prefix: str = "") -> Values:
     return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
-# The following functions give the corrected (3), and states that satisfy (2) with the corrected (3).
+# The following functions give S1 and S2 of the corrected (3), and states that satisfy (2) with these S1 and S2.
 
 
 def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Errors of the fast-spin solution, and periodic solutions, as variables that a scene may ask for."""
+"""Variables that a scene may ask for. They are periodic solutions, and errors of the fast-spin solution."""
 
 from __future__ import annotations
 

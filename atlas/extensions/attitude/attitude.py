@@ -91,7 +91,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
     orders = np.array([*permutations(range(3))] if nearest else [range(3)])
     signs = np.array([*product((1.0, -1.0), repeat=3)])
     axes = rows[:, orders]
-    cosines = np.diagonal(axes, axis1=2, axis2=3) @ signs.T  # traces of the turns, 1 + 2 cos(angle)
+    cosines = np.diagonal(axes, axis1=2, axis2=3) @ signs.T  # traces of rotation matrices, 1 + 2 cos(angle)
     right_handed = np.linalg.det(axes)[..., None] * signs.prod(1) > 0
     score = np.where(right_handed, cosines, -np.inf).reshape(len(tensor), -1)
     order, sign = np.divmod((score >= score.max(1, keepdims=True) - TIE).argmax(1), len(signs))
@@ -197,7 +197,7 @@ def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Arr
     p, q, r = np.moveaxis(rates, -1, 0)
     rounding = ROUNDING * np.sqrt(p**2 + q**2 + r**2 + turning**2)
     p, q = p - turning * sine * np.sin(phi), q - turning * sine * np.cos(phi)
-    # With this phi, theta' is the whole rate of the axis, and n is 0.
+    # For a vertical third axis, this phi makes theta' the whole rate at which the axis moves, so that n = psi' is 0.
     leaving = np.where(np.hypot(p, q) > rounding, np.arctan2(-q, p), 0.0)
     phi = np.where(vertical, leaving, phi)
     psi = np.where(cosine > 0, total - phi, difference + phi)

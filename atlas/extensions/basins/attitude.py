@@ -30,7 +30,7 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
         return without
     angles = {name: ds.get(f"end_{name}", 0.0 * ds[END]) for name in ANGLES}
     directed: dict[int, list[str]] = {}
-    # About a fixed point the frame has only one direction.
+    # About a fixed point only the vertical has a name, because all horizontal directions are alike.
     frame_axes = system_of(ds).frame_axes if len(names) == len(ANGLES) else ("", "", "down")
     for i in np.unique(ds[END].values[ds[END].values >= 0]):
         own = [angle.where(ds[END] == i) for angle in angles.values()]

@@ -101,7 +101,7 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Return which points have an end that is not certain. A proved end is certain if the energy at the start is below all saddles."""
+        """Return a mask of settled points with an uncertain end. A proved end is certain if the start has less energy than all saddles."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided

@@ -34,11 +34,11 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     Returns
     -------
     Dataset
-        `end`, int16, over the dimensions of the atlas, is the position along `which`, or -1 where the status is not ok or no
-        other motion has the same end. Two motions have the same end if they differ by at most the tolerance, or if a chain of motions
-        with such differences joins them. The comparison is accurate to a quarter of the tolerance. The ends along `which`, sorted
-        by the first feature, have the number `count` of motions, the median of each feature, and `spread`, which is the largest
-        difference divided by the tolerance. A warning names chains, whose spread is above 1.
+        `end`, int16, over the dimensions of the atlas, is the position of the end along the dimension `which`. The value is -1 where
+        the status is not ok or no other motion has the same end. Two motions have the same end if they differ by at most the tolerance,
+        or if a chain of motions with such differences joins them. The comparison is accurate to a quarter of the tolerance. The ends
+        along `which`, sorted by the first feature, have the number `count` of motions, the median of each feature, and `spread`. The
+        spread is the largest difference divided by the tolerance. A warning names chains, whose spread is above 1.
 
     Raises
     ------

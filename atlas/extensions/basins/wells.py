@@ -102,7 +102,8 @@ class Wells:
     def find_rims(self, bodies: Places) -> None:
         """Compute the rims of wells. A rim is the lowest potential of equilibria from which descent of W reaches the minimum of the well.
 
-        If descent reaches no equilibrium, the start counts for every rim. If descent reaches a saddle, the lower saddle counts instead.
+        If descent reaches no equilibrium, the start counts for every rim. If descent ends at a saddle, the start counts for no
+        rim, because the saddle has a lower potential and is itself a start.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
@@ -151,14 +152,14 @@ def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
     potential = each.potential(alpha, gamma)
     values, directions = np.linalg.eigh(np.nan_to_num(each.hessian(alpha, gamma)))
     flat = np.abs(values) <= _FLAT * np.abs(values).max((1, 2), keepdims=True)
-    # W is constant along turns about gamma if the frame has one direction, and along circles of equilibria.
+    # W is constant along circles of equilibria. If gamma is the only direction of the frame, W is constant along turns about gamma too.
     regular = flat.sum(-1) == circle.astype(int) + single
     minimum = (index == 0) & regular
     rate = np.where(body.turn == 0, body.natural_rate(np.zeros_like(body.rotor)), np.abs(body.turn))
     stiffness = np.minimum(np.where(flat, np.inf, values).min(-1), each.inertia.min(-1) * rate[:, None] ** 2)
     settled = np.where(minimum, potential + 0.5 * SETTLED**2 * stiffness, np.nan)
     axis = solutions.get("axis", np.full(gamma.shape, np.nan))
-    if single:  # the rotor does not act on a body at rest
+    if single:  # the rotor does not act on a body at rest, and may be off the axis of symmetry
         still = body._replace(rotor=np.zeros_like(body.rotor))
         for i in range(3):
             axis[circle & still.symmetric_about(i)[:, None]] = np.eye(3)[i]

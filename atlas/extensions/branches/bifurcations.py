@@ -1,9 +1,9 @@
 """Branches of relative equilibria against a parameter, and the bifurcations at which branches meet.
 
 Branches are not followed one by one. `equilibria_of_bodies` lists all solutions at each value. Two solutions of neighbouring values
-match if the tangent of each predicts the other. The errors must be far smaller than those of either solution with any third solution.
-An interval in which a solution has no match, or changes its index, is divided until Newton's method finds each bifurcation in the
-interval. The equations are
+match if the tangent of each predicts the other. The sum of both prediction errors must be far smaller than the sum for any pair that
+contains only one of the two solutions. An interval in which a solution has no match, or changes its index, is divided until Newton's
+method finds each bifurcation in the interval. The equations are
 
     gradient of W = 0,    kappa = 0,
 
@@ -68,7 +68,7 @@ class Singular(NamedTuple):
         """Whether a change of the parameters lets solutions merge and vanish."""
         by_parameters = self.slopes[:, :3, 3:]
         along = np.abs(np.einsum("ni,nij->nj", self.null, by_parameters))
-        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # rounding error of a derivative that is 0
+        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # least size, because slopes have rounding errors
         size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
         return np.asarray((along > _TRANSVERSAL * size).any(1))
 
@@ -105,7 +105,7 @@ class BodyFamily(NamedTuple):
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
-        """Return the scaled gradient of W, the scaled Hessian plus the projector onto the cyclic directions, and the projector."""
+        """Return gradient and Hessian of W over `steepness`, and the projector onto cyclic directions. The projector is in the Hessian."""
         body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]
@@ -120,7 +120,7 @@ class BodyFamily(NamedTuple):
         return gradient / unit, hessian + projector, projector
 
     def singular(self, values: Array, frames: Array) -> Singular:
-        """Find points at which the eigenvalue that is nearest to 0 at the start vanishes.
+        """Find points at which an eigenvalue of the Hessian is 0. The eigenvalue that is nearest to 0 at the given points is used.
 
         Steps solve damped least squares, because the Jacobian is singular at a pitchfork, where derivatives along the null vector vanish.
         """
@@ -157,7 +157,7 @@ class Nodes(NamedTuple):
     frames: Array  # rows alpha, beta, gamma in body axes, nan in unused places, (nodes, places, 3, 3)
     morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
     turn: Array  # rotation along the branch per unit of the parameter, (nodes, places, 3)
-    distance: Array  # first-order change of the parameter after which solutions may merge, (nodes, places)
+    distance: Array  # estimated change of the parameter, with sign, up to a possible merger of the solution, (nodes, places)
     usable: Mask  # whether all solutions are listed and regular, and the sum of (-1)^index is the Euler characteristic, (nodes,)
 
 
@@ -195,7 +195,7 @@ def solutions_at(
     slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
     turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
-    # After the parameter changes by -root, an eigenvalue of a real solution is 0, or the two solutions of a complex pair coincide.
+    # To first order, the change -root of the parameter makes an eigenvalue of a real solution 0, or the solutions of a complex pair equal.
     with np.errstate(all="ignore"):
         roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
@@ -207,7 +207,7 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    # With both symmetries of `family` the sum tests nothing. Circles of solutions add 0. Solutions with a vertical symmetry axis add 1.
+    # With both symmetries of `family` there is no test. Circles add 0 to the sum, and the two solutions with a vertical axis add 1 each.
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
@@ -280,7 +280,7 @@ def bifurcations_between(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # no branch ends or changes its index at this point, so another bifurcation must have the same value
+        else:  # Here no branch ends or changes its index. Another bifurcation must then be at the same value of the parameter.
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:
@@ -344,7 +344,7 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
             nodes = Nodes(*(np.concatenate(pair) for pair in zip(nodes, added, strict=True)))
             halves = np.concatenate([np.stack([pending[:, 0], new], 1), np.stack([new, pending[:, 1]], 1)])
             pending = np.concatenate([pending[~added.usable], halves[np.tile(added.usable, 2)]])
-    # A given value that is a bifurcation cannot be a node. Its solutions are predicted from the nodes on both sides.
+    # No interval ends at a given value that is a bifurcation. Solutions there are predicted from both ends of the interval around it.
     every, degenerate = np.concatenate(intervals), np.flatnonzero(~nodes.usable[: values.size])
     low, high = nodes.values[every].T
     which, i = np.nonzero((low < values[degenerate, None]) & (values[degenerate, None] < high))

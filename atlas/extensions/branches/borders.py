@@ -31,7 +31,7 @@ from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # squared exponents at an end of a limit of stability count as 0 below this
-# At a cusp the derivatives of the parameters by arc length are below this. A fold at a circle of equilibria has larger ones and no cusp.
+# At a cusp the derivatives of the parameters by arc length are below this. At a fold on a circle of equilibria the derivatives are larger.
 _TURNS = 1e-6
 
 
@@ -77,7 +77,7 @@ class Borders(NamedTuple):
     plane: Plane
     potential: Potential
     lines: list[Curve]
-    # The lower of the Morse indices on the two sides of a curve, for the segment after each vertex, (vertices,).
+    # Each side of a curve has a Morse index. This is the lower index of the two, on the segment after each vertex, (vertices,).
     morse_index: NDArray[np.int64]
     changes: Array  # change of the numbers of all and of stable solutions from the right of the curve to the left, (2, vertices)
     axis: Array  # positions along each side of the grid on which equilibria are counted
@@ -136,7 +136,7 @@ class Borders(NamedTuple):
         return values
 
     def polylines(self, divisions: int, chosen: Mask) -> list[Array]:
-        """Return polylines from chosen vertices of the borders to the next ones, in axis units. A cubic has `divisions` straight parts."""
+        """Return polylines from each chosen vertex to the next vertex, in axis units. Each cubic becomes `divisions` straight parts."""
         lines, ends = [], np.cumsum([len(line.tangents) for line in self.lines], dtype=int)
         for line, own in zip(self.lines, np.split(chosen, ends), strict=False):
             parts = Segments.of([line])
@@ -317,7 +317,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
     for column in (0, 1):
 
         def test(points: Degenerate, column: int = column) -> Array:
-            """Return values that are 0 at special points."""
+            """Return function 0 or 1 of `character`, which is 0 at special points. On limits of stability function 1 is not used."""
             return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
         for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):

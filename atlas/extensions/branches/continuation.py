@@ -18,7 +18,7 @@ from .singular import Degenerate
 
 # Lengths of the first, the longest and the shortest step, and largest number of steps.
 _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000
-# Only steps shorter than this may pass a point at which another curve crosses. The second length is for limits of stability.
+# Only steps shorter than `_CROSSING` may pass a crossing of two curves. On limits of stability `_CROSSING_OF_LIMITS` counts instead.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # desired angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain, because another curve crosses
@@ -34,7 +34,7 @@ _NEIGHBOURS, _LOOK = 32, 0.2
 _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exceeds this fraction of the chord
 # Points whose unit null vectors have a smaller scalar product are on different curves, which may be close if moments are nearly equal.
 _SAME_VECTOR = 0.3
-_BACK = 1e-6  # a curve turns between vertices with parameter rates a and b if -a.b > _BACK (a.a + b.b)
+_BACK = 1e-6  # a curve turns back between two vertices if the parameters have rates a and b there with -a.b > _BACK (a.a + b.b)
 # A limit of stability that extends over less than this fraction of the range of each parameter is dropped. A vertex of a limit is dropped
 # if an end or another vertex is nearer than this. Near an end the equations of limits are nearly singular.
 _SAME_END = 2e-5
@@ -47,7 +47,7 @@ class Piece(NamedTuple):
     length: float
     first: int  # number of the first end; start point i has the end 2 i ahead and the end 2 i + 1 behind
     last: int  # number of the last end; -1 is a side of the box, and -2 means that the curve is lost
-    mirrored: bool  # whether the piece leads to the mirror image of the last point
+    mirrored: bool  # whether the piece leads to the mirror image of the start point that has the end `last`
     unknowns: Array  # unknowns of the vertices, (vertices, unknowns)
     tangents: Array
 
@@ -61,7 +61,7 @@ class Curve(NamedTuple):
     lost: bool  # whether the curve ends inside the box
 
     def sound(self) -> Mask:
-        """Whether vertices are on the curve. A pitchfork that is `flat` does not count if both neighbours are `flat` too."""
+        """Whether each vertex is on the curve. A `flat` pitchfork counts only if it has a neighbour that is not `flat`."""
         flat = np.r_[True, self.points.flat(), True]
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 
@@ -117,7 +117,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
 
 
 def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
-    """Whether the seeds `near` each point have its kind and null vector. Indices >= the number of seeds mean mirror images."""
+    """Whether seeds `near[i]` have the kind and null vector of point i. Limits have no null vector. Mirror images come after all seeds."""
     count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
     vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
     same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
@@ -142,7 +142,7 @@ def _of_place(points: Degenerate, rows: Array) -> Array:
 
 
 def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
-    """Return x, position and s of points, then of their mirror images, and the same components of the tangents."""
+    """Return the vectors `place` of points, and the tangents in the same components. Mirror images, if any, follow after all points."""
     place, along = points.place, _of_place(points, tangents)
     if not points.potential.mirrored:
         return place, along
@@ -188,7 +188,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target on a side of the box is met
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # not if a target is on the side
         meets = (to_target <= 1.2 * arc) & ~leaves  # no step ends just before a target
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
@@ -378,7 +378,7 @@ def with_zeros(
     for iteration in range(_ILLINOIS if share.size else 0):
         before, share = share, high - at_high * (high - low) / (at_high - at_low)
         if iteration and (np.abs(share - before) < _NO_SHARE).all():
-            break  # in the first iteration, the secant may give the initial `share`, 0.5, by chance
+            break  # not in the first iteration, in which the secant may by chance give the initial `share` 0.5
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
@@ -393,14 +393,15 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
         return []
     every = Segments.of(lines)
     first, last = (each[:, -3:-1] for each in every.slopes)
-    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)  # cusps at vertices are left out
+    # A segment from or to a cusp does not count as a turn, because `first` or `last` is 0 there.
+    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)
     turns &= every.start.limit
     chosen = np.split(turns, np.cumsum([len(line.tangents) - 1 for line in lines])[:-1])
     back = (first - last)[turns]
     parts = Segments.of(lines, chosen)
     chord = (parts.end.unknowns - parts.start.unknowns)[:, -3:-1]
     a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
-    middle = 2 * a + b - 3 * c  # the derivative of the cubic along `back` is 0 at `share`
+    middle = 2 * a + b - 3 * c  # at `share` the rate of the cubic has no component along `back`
     share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
     return parts.inserted(lines, share)
 

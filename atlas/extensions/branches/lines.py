@@ -23,7 +23,7 @@ from .starts import Cell
 
 CHANGE = "change of the number"
 COUNT_TRISECTIONS = 4  # number of trisections between two neighbouring points of the atlas
-# The number of minima changes only where minima merge. The number of stable equilibria also changes at limits of stability.
+# The number of minima changes only at mergers with a minimum. The number of stable equilibria also changes at limits of stability.
 MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
 MANY_COUNTS = 300  # tracing more vertices takes more than a second and is announced
 BETWEEN = 6  # number of straight parts that replace a cubic of a border, with errors below 1e-5 of the plane's sides
@@ -46,9 +46,9 @@ of_all, of_stable, of_minima = (
 def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
     """Return {CHANGE: lines}. The lines separate regions of a plane in which a count has different values.
 
-    The lines are exact, from `Borders`, if the bodies depend smoothly on the plane. For stable equilibria this also needs two
-    axes and borders that explain all counts. Other lines are traced between the points of the atlas. Regions narrower than a cell
-    are then missed, and several lines appear where a count jumps over values.
+    The lines are exact if the bodies depend smoothly on the plane. If stable equilibria are counted, the plane must also have
+    two axes, and `Borders` must explain all counts. Other lines are traced between the points of the atlas. Regions narrower than a
+    cell are then missed, and several lines appear where a count jumps over values.
     """
     name = str(counts.name)
     with suppress(BadInput):
@@ -61,7 +61,6 @@ def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
         compiling.say(TRACING)
 
     def is_above(positions: Array, level: float) -> Mask:
-        """Whether the count at positions (vertices, axes) is above a level."""
         coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return np.asarray(plane.derived(coordinates, (name,))[name] > level)
 
@@ -71,7 +70,7 @@ def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
 
 
 def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] | None:
-    """Return lines, or points on a single axis, at which the number of equilibria changes, or None if some are not known."""
+    """Return lines, or points on a single axis, at which the count `name` changes. Return None if not all lines are known."""
     system, minima = plane.scene.system, name == MINIMA_COUNT
     if not isinstance(system, Gyrostat):
         return None
@@ -86,7 +85,7 @@ def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] |
 
 
 def _merging_points(plane: Plane, system: Gyrostat, values: Array, minima: bool) -> list[Array]:
-    """Return the values on a single axis at which equilibria merge, or at which minima merge if `minima` is true."""
+    """Return the values on a single axis at which equilibria merge. If `minima` is true, one of these equilibria must be a minimum."""
     (dim,) = plane.extent
 
     def points(values: Array) -> Points:

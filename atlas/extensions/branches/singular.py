@@ -36,20 +36,20 @@ from ..equilibria.algebra import body_at_rest
 # The number of nodes grows until the last Chebyshev terms are below `_RESOLVED`. Terms below `_NO_TERM` are dropped.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # damping of least squares, as a fraction of the trace
-_WEIGHT = 100.0  # In least squares, multipliers and null vectors may change by this factor more than x.
+_WEIGHT = 100.0  # In least squares, multipliers and null vectors may change by this factor more than critical points.
 _MAX_TURN = 0.3  # longest step of Newton's method: angles are in rad, positions are fractions of the box
 # A start is dropped if step `_ITERATIONS` of Newton's method exceeds `_NEAR`, which is large because pitchforks converge slowly.
 # Points with a force below `_LITTLE_FORCE` may be pitchforks. Regular points have singular values above `_REGULAR` times the largest
 # one. Residuals, steps and forces below `_EXACT` count as 0.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # The constant term of a characteristic polynomial counts as 0 below this fraction of the largest coefficient.
-# A discriminant below this fraction of the sum of its terms counts as 0, because two exponents may be equal on a whole curve.
+# Discriminants below this fraction of the sum of their terms' sizes count as 0, because two exponents may be equal on a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
 # Solutions beside a pitchfork are compared at the distance `_BESIDE` and found in `_STEPS_BESIDE` steps of Newton's method. Extrema
 # of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # number of Newton steps that move a point onto a side of the box
-# A vector x consists of two (`FRAMES`) or three (`TRIADS`) vectors d_i. For each matrix E here, x.E x is d_i.d_i = 1 or 2 d_i.d_j = 0.
+# A vector x consists of two (`FRAMES`) or three (`TRIADS`) unit vectors d_i. A matrix E gives the product x.E x = d_i.d_i or 2 d_i.d_j.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -59,7 +59,7 @@ TRIADS[3:] += TRIADS[3:].swapaxes(1, 2)
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solve linear equations. Matrices that are singular to the last bit are first changed by rounding errors."""
+    """Solve linear equations. If a matrix is singular to the last bit, all matrices are first changed by the size of a rounding error."""
     with suppress(np.linalg.LinAlgError):
         return np.asarray(np.linalg.solve(matrix, right))
     size = np.abs(matrix).max((1, 2), keepdims=True)
@@ -95,7 +95,7 @@ class Potential(NamedTuple):
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
-        """Return the potentials of bodies with the parameters `points(positions)`, or raise BadInput unless the parameters are smooth."""
+        """Return the potentials of the bodies `points(positions)`. Raise BadInput unless the potentials depend smoothly on positions."""
         for count in _NODES:
             nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
             grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
@@ -124,7 +124,8 @@ class Potential(NamedTuple):
         n = terms.shape[2] // 2
         forms = {6: FRAMES, 9: TRIADS}.get(n, np.eye(n)[None])
         mirrored = n == 6 and not terms[..., n : n + 3].any()
-        bodies = bodies[: used[0] + 2, : used[1] + 2]  # inertia and rotor may need more terms than Q and c
+        # Inertia and rotor may need more Chebyshev terms than the potential.
+        bodies = bodies[: used[0] + 2, : used[1] + 2]
         return cls(_with_derivatives(terms), forms, axis, upright, mirrored, _with_derivatives(bodies))
 
     @property
@@ -133,7 +134,7 @@ class Potential(NamedTuple):
         return self.forms.shape[1]
 
     def at(self, positions: Array) -> Array:
-        """Return an array (3, 2, N, n). Axis 0 has the value and both derivatives. Axis 1 has Q and c of the potential x.Q x / 2 + c.x."""
+        """Return an array (3, 2, N, n). Axis 0 has values and derivatives by both parameters. Axis 1 has Q and c of x.Q x / 2 + c.x."""
         values = _values(self.terms, positions)
         return np.moveaxis(values.reshape(3, len(positions), 2, self.size), 2, 1)
 
@@ -186,9 +187,10 @@ class Potential(NamedTuple):
         return values, slopes
 
     def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
-        """Return numbers (N, 4), positive where all exponents are imaginary and different. One zero pair is ignored where `left_out`."""
+        """Return numbers (N, 4), all positive if exponents are imaginary and different. Where `left_out`, a pair of zeros is ignored."""
         c = coefficients.copy()
-        if self.size == 2:  # A symmetry makes a second pair of exponents 0, unless its axis is along gamma.
+        # Symmetries about gamma and a body axis make two pairs of exponents 0, but only one pair if gamma is along this axis.
+        if self.size == 2:
             left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
         out = np.broadcast_to(left_out, len(c))
         c[out] = np.roll(c[out], -1, 1) * [1.0, 1.0, 1.0, 0.0]
@@ -240,7 +242,7 @@ class Potential(NamedTuple):
 
 
 def _with_derivatives(coefficients: Array) -> Array:
-    """Return the coefficients (a, b, 3 k) of k Chebyshev series with a x b terms each, and of both derivatives of these series."""
+    """Return the coefficients (a, b, 3 k) of k Chebyshev series with a x b terms each, and of their derivatives by both variables."""
     a, b, k = coefficients.shape
     every = np.zeros((a, b, 3, k))
     every[:, :, 0] = coefficients
@@ -249,7 +251,7 @@ def _with_derivatives(coefficients: Array) -> Array:
 
 
 def _values(coefficients: Array, positions: Array) -> Array:
-    """Return the values (3, N, series) of Chebyshev series and of both derivatives at N positions. See `_with_derivatives`."""
+    """Return values (3, N, series) of Chebyshev series and of derivatives by both variables at N positions. See `_with_derivatives`."""
     a, b, k = coefficients.shape
     u, w = np.moveaxis(chebvander(2 * positions - 1, max(a, b) - 1), 1, 0)
     products = (u[:, :a, None] * w[:, None, :b]).reshape(-1, a * b)
@@ -272,14 +274,14 @@ def _hessian(d: Array, q: Array, c: Array) -> Array:
 
 
 def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
-    """Return the derivatives by d of the scalar products of the matrices K with `_hessian`, (N, matrices, 3)."""
+    """Return the derivative by d of the trace of K times `_hessian`, for each symmetric matrix K, (N, matrices, 3)."""
     rest = K - np.einsum("njii->nj", K)[..., None, None] * np.eye(3)
     tilt = 2 * _polar(K, q[:, None, :, None] * np.eye(3)) + q[:, None, :, None] * rest
     return np.einsum("njik,nk->nji", tilt, d) + np.einsum("njik,nk->nji", rest, q * d + c)
 
 
 def _linear(body: Body) -> Array:
-    """Return inertia I, rotor, frame rate times (2 I - tr I), and Q and c for alpha, beta and gamma, (bodies, 27), in the same units."""
+    """Return inertia I, rotor, frame rate times (2 I - tr I), then Q and c of alpha, beta and gamma, (bodies, 27). Bodies share units."""
     square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max()) or 1.0
     I, rate = body.inertia, np.sqrt(square)
     alpha, gamma = body.amended()
@@ -307,12 +309,11 @@ class Degenerate(NamedTuple):
 
     potential: Potential
     unknowns: Array
-    # At folds s = 0. At pitchforks v.dx = 0 for steps dx of x. At limits of stability v = m = 0, and s is the squared double exponent.
+    # At folds s = 0. At pitchforks each change dx of x has v.dx = 0. At limits of stability v = m = 0, and s is a double exponent squared.
     kind: NDArray[np.int8]
 
     @property
     def pitchfork(self) -> Mask:
-        """Whether each point is a pitchfork."""
         return np.asarray(self.kind == BorderKind.PITCHFORK)
 
     @property
@@ -327,7 +328,7 @@ class Degenerate(NamedTuple):
 
     @property
     def parts(self) -> list[Array]:
-        """The unknowns x, l, v, m, position and s, each with the shape (N, components)."""
+        """The parts x, l, v, m, position and s of `unknowns`, each with the shape (N, components). See the module's docstring."""
         n, size, y = self.potential.size, sum(self.potential.forms.shape[:2]), self.unknowns
         ends = 0, n, size, size + n, 2 * size, 2 * size + 2, 2 * size + 3
         return [y[:, start:end] for start, end in pairwise(ends)]
@@ -407,14 +408,14 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Return D of `matrices`, and the derivatives of the potential's gradient and of the solutions (x, l) by both parameters."""
+        """Return the first of `matrices`. Return also the parameter derivatives of the potential's gradient and of the solution (x, l)."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
         return first, forces, -_solved(first + 1e-13 * np.eye(first.shape[1]), right)
 
     def values_and_rates(self) -> tuple[Array, Array]:
-        """Return the characteristic polynomial at s and its derivatives by both parameters along the solution."""
+        """Return the characteristic polynomial P(s) and its derivatives by the parameters along solutions. Except on limits, s is 0."""
         n, (*_, moved), (values, slopes) = self.potential.size, self.response(), self.characteristic()
         return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved[:, :n])
 
@@ -458,7 +459,7 @@ class Degenerate(NamedTuple):
         return np.where((rates * toward).sum(1) > 0, 1, -1) + 2 * (values[:, 0] > 0)
 
     def largest_square(self) -> Array:
-        """Return the largest square of the exponents at limits of stability, and -inf elsewhere. A pair that vanishes is left out."""
+        """Return the largest squared exponent at limits of stability, and -inf elsewhere. A pair of exponents that are 0 is left out."""
         limits, result = self.take(self.limit), np.full(len(self.kind), -np.inf)
         x, _, _, _, position, s = limits.parts
         (_, first, second, third), s = self.potential.characteristic(x, position)[0].T, s[:, 0]
@@ -473,7 +474,6 @@ class Degenerate(NamedTuple):
         return np.asarray((np.abs(self.parts[4] - 0.5) < 0.5 + _EXACT).all(1))
 
     def moved(self, change: Array) -> Degenerate:
-        """Return the points with the unknowns changed by `change`."""
         return self._replace(unknowns=self.unknowns + change)
 
     def nearest(self, iterations: int) -> tuple[Degenerate, Array]:
@@ -496,7 +496,7 @@ class Degenerate(NamedTuple):
 
     @np.errstate(all="ignore")  # Newton's method diverges where these equations are singular
     def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
-        """Find the points of the curves in hyperplanes through these points with the normals `row`.
+        """Find where the curves meet hyperplanes. Each hyperplane contains one of these points and has the normal `row`.
 
         The results are the points, the size of the last steps, unit tangents, and orientations. The orientation is the sign of the
         determinant of the equations with the row, which changes along a curve only at crossings.
@@ -554,7 +554,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Return unknowns where the first-order distance of x from a degenerate point is below `reach`. `solves` marks solutions x."""
+        """Return unknowns where, to first order, a degenerate point is within `reach` of `position`. The mask `solves` marks solutions."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -584,7 +584,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
-        """Return unknowns at nearly stable solutions. The first-order distance of each from a limit of stability is below `reach`."""
+        """Return unknowns at solutions within `reach`, to first order, of a limit of stability. All exponents are imaginary there."""
         now, *_ = potential.at(position)
         _, onto = potential.constraints(x)
         l = -np.einsum("nki,ni->nk", onto, now[0] * x + now[1])
@@ -603,7 +603,7 @@ class Degenerate(NamedTuple):
         return cls.joined(parts)
 
     def extremal_momenta(self) -> Degenerate:
-        """Return unknowns beside degenerate solutions, where extrema of the momentum often are."""
+        """Return starts of a search for extrema of the momentum. The starts are beside degenerate solutions, where extrema often are."""
         x, l, v, m, position, s = self.parts
         kind = np.full(len(x), BorderKind.EXTREMAL_MOMENTUM, np.int8)
         sides = [np.concatenate([x + size * v, l, 0 * v, 0 * m, position, 0 * s], 1) for size in _ASIDE]
@@ -612,7 +612,7 @@ class Degenerate(NamedTuple):
     def settled(self, reach: float) -> Degenerate:
         """Find points on curves by Newton's method. Points outside the box, or farther than `reach` from their starts, are left out."""
         points, step = self.nearest(_ITERATIONS)
-        beyond = np.flatnonzero(~points.inside())  # part of the curve may be inside
+        beyond = np.flatnonzero(~points.inside())  # a curve through a point outside may reach into the box
         onto, step[beyond] = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
         near = step < _NEAR
@@ -638,10 +638,10 @@ class Degenerate(NamedTuple):
     def character(self) -> tuple[NDArray[np.int64], Array, Array]:
         """Return the number of negative eigenvalues besides the vanishing one, two functions with zeros at special points, and a covector.
 
-        On folds the first function is the third derivative along the null vector, which is 0 at cusps, and the second is 1. On
-        pitchforks the functions are the product of the other eigenvalues, and this product times the fourth derivative. On limits
-        of stability the first is P''(s) of the characteristic polynomial P, or -1 if the momentum has an extremum. P''(s) is 0 at
-        cusps. The second is the product of the eigenvalues. The covector (N, 2) points to the side with more (stable) solutions.
+        On folds the first function is the potential's third derivative along the null vector, which is 0 at cusps. The second is 1. On
+        pitchforks the first is the product of the other eigenvalues, and the second is this product times the fourth derivative. On
+        limits of stability the first is P''(s) of the characteristic polynomial P, which is 0 at cusps, or -1 if the momentum is extremal.
+        The second is the product of the eigenvalues. The covector (N, 2) points to more solutions, or on limits to more stable solutions.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]

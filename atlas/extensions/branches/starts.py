@@ -1,4 +1,4 @@
-"""Points on curves of degenerate critical points, in closed form for x on a sphere or circle, else from all equilibria of some bodies."""
+"""Start points for curves of degenerate critical points. The points solve a secular equation, or are found near equilibria."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from .singular import BorderKind, Degenerate, Potential
 # `_LINES` inner lines along each axis, and lines near the sides of the box, have `_SAMPLES` samples each. Lines on which a component
 # of the potential's linear term c is 0 are traced on a grid of `_CONTOUR`^2 points.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
-_ZERO = 1e-20  # replaces 0 in c, so that a fold with c_i = 0 is the limit of folds with small c_i
+_ZERO = 1e-20  # replaces zeros of c, because a fold with c_i = 0 is the limit of folds with small c_i
 _ON_SPHERE = 8  # steps of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
 CELLS = 13  # cells of the coarse grid along each axis; odd, because bodies in the middle are often symmetric
 _RIM = 0.004  # distance of the outermost lines from the sides of the box, where bodies are often symmetric
-# Distance of one more grid line from the middle of the box. Without this line, jumps at curves mirrored about the middle may cancel.
+# Distance from the middle to one more grid line. The line separates mirrored curves with opposite changes of the number of equilibria.
 _BESIDE_MIDDLE = 5e-4
 REACH = 2.0  # Curves are sought from an equilibrium up to this distance, in cells.
-# At most `_SEARCHES` times, more curves are sought from `_BETWEEN` points of each grid interval with unexplained numbers of equilibria.
+# If curves do not explain the counts of equilibria at two nodes, `_BETWEEN` points between the nodes are tried in up to `_SEARCHES` rounds.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4  # `_DIVISIONS` chords replace a curve segment.
 
 
@@ -48,9 +48,9 @@ class Cell(Flag):
 def on_sphere(potential: Potential) -> Degenerate:
     """Return points of all curves in the box, for x on a sphere or circle.
 
-    For the potential x.diag(d) x / 2 + b.x the solutions are x = -b / (d - L) with F(L) = sum b_i^2 / (d_i - L)^2 = 1. At a fold
-    the minimum of F between two poles with b_i != 0 is 1. If a parameter moves only one component of b, or scales d, each curve of
-    folds leaves the box or meets a line b_i = 0. If b_i = 0 in the whole box, the other terms of F(d_i) sum to 1 at a pitchfork.
+    For the potential x.diag(d) x / 2 + b.x, a multiplier L with F(L) = sum b_i^2 / (d_i - L)^2 = 1 gives the solution x = -b / (d - L).
+    At a fold the minimum of F between two poles with b_i != 0 is 1. If a parameter moves only one component of b, or scales d, each
+    curve of folds leaves the box or meets a line b_i = 0. If b_i = 0 in the whole box, the other terms of F(d_i) sum to 1 at a pitchfork.
     """
     n, sides, steps = potential.size, np.linspace(0, 1, _SAMPLES), np.linspace(0, 1, _CONTOUR)
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1)
@@ -64,7 +64,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
 
     def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-        """Return log F(L) and L, (levels, N), and d and b. L is a minimum of F between poles, or a pole d_i where b_i is always 0."""
+        """Return log F(L), L, d and b, see `on_sphere`. Rows of L have minima of F between poles, or poles d_i whose b_i is always 0."""
         d, b = np.moveaxis(potential.at(position)[0], -1, 1)
         b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
         b[absent] = 0.0
@@ -102,9 +102,9 @@ def near_solutions(
 ) -> tuple[Degenerate, Degenerate, Array]:
     """Return unknowns near degenerate solutions, unknowns near limits of stability, and numbers of solutions.
 
-    To first order the degenerate solutions and limits are within `reach` of `positions`. Attitudes near complex solutions also give
-    unknowns near degenerate solutions. Row 0 of the numbers, (2, bodies), counts all solutions, and row 1 counts stable solutions.
-    Numbers that are not certain are nan.
+    Unknowns are returned only where, to first order, a degenerate solution or a limit is within `reach` of a position. Attitudes near
+    complex solutions also give unknowns near degenerate solutions. Row 0 of the numbers, (2, bodies), counts all solutions. Row 1
+    counts stable solutions. Numbers that are not certain are nan.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -163,7 +163,7 @@ def all_curves(
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
-            # Curves of extremal momentum are sought beside every second vertex of a curve, and where `stable_change` jumps at pitchforks.
+            # Curves of extremal momentum are sought near every second vertex of a curve and near pitchforks at which `stable_change` jumps.
             lines, ends = with_zeros(
                 lines,
                 lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
@@ -217,7 +217,7 @@ def _crossing(points: Degenerate) -> Array:
 
 
 def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
-    """Return the indices of the grid cells that contain the positions (N, 2) or, for positions outside, are nearest."""
+    """Return the indices of the grid cells that contain the positions (N, 2). Positions outside the grid have the nearest cell."""
     return tuple(np.clip(np.searchsorted(axis, positions) - 1, 0, axis.size - 2).T)
 
 
@@ -227,7 +227,8 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
     Row 0 of the differences, (2, segments), counts all solutions, and row 1 counts stable solutions.
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
-    fork = middle.pitchfork  # moved onto the curve, because other points may bifurcate to the wrong side
+    # Pitchforks are moved onto the curve, because beside the curve the side with more solutions may be wrong.
+    fork = middle.pitchfork
     middle.unknowns[fork] = middle.take(fork).nearest(1)[0].unknowns
     index, _, covector = middle.character()
     chord = parts.end.parts[4] - parts.start.parts[4]

@@ -33,7 +33,7 @@ def published_equations(system: System) -> Sequence[PublishedEquation]:
 
 
 def published_numbers(system: System) -> list[dict[str, str]]:
-    """Return rows that compare published numbers with ours, from all extensions."""
+    """Return rows from all extensions. Each row compares a published number with the number of this package."""
     functions = extension.of_each("published_numbers", system.name)
     return [row for function in functions for row in function(system.name)]
 
@@ -45,7 +45,7 @@ def load(package: str) -> tuple[dict[str, Any], dict[str, Entry]]:
 
 
 def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callable[[str], Any]) -> Any:
-    """Return the sum of `value` over the terms of a reading. The name of an equation stands for its true terms."""
+    """Return the sum of `value` over the terms of a reading. If an entry names another equation, the true terms of that equation count."""
     terms = entry.get(f"terms_{reading}") or entry["terms_true"]
     return sum(map(value, entries[terms]["terms_true"] if isinstance(terms, str) else terms))
 

@@ -12,7 +12,7 @@ from ...theory.point import Vector, larger, smaller
 BOUND = "proof_bound"
 PROOFS_OF = {"label": "label_proof", "label_inertial": "label_inertial_proof"}
 KEPT = 1e-9  # safety margin of comparisons, as a fraction of a tolerance
-# `reach` doubles a distance up to `DOWN` times to find a bracket below the limit, and bisects the bracket `WITHIN` times.
+# `reach` tries at most `DOWN` distances, each twice the previous one, until a polynomial is negative. `WITHIN` bisections follow.
 DOWN, WITHIN = 40, 34
 
 
@@ -47,8 +47,6 @@ class GyrostatBody(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """Tolerances of labels."""
-
     rate: float
     angle: float
 

@@ -48,7 +48,8 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        if step < 2:  # The energy bound is least if a body at the minimum of W has the start's momentum.
+        # Newton's method finds the rate n at which a body at rest at z has the start's momentum. With this n the bound is sharpest.
+        if step < 2:
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
             n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
@@ -61,7 +62,7 @@ def in_space(body, w, gamma):
 
 
 def symmetric(body, w, alpha, gamma):
-    """Return bounds of the motion of a symmetric body in a frame with alpha and gamma, from the potential W_S of the body's third axis."""
+    """Return bounds of a symmetric body's motion relative to the frame of alpha and gamma, from the energy of the body's third axis."""
     A, _, C = body.inertia
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
     start = alpha[2], cross(gamma, alpha)[2], gamma[2]
@@ -84,7 +85,7 @@ def symmetric(body, w, alpha, gamma):
 
 
 def upright(body, w, alpha, gamma):
-    """Return bounds of a motion near theta = 0 or pi, from W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|. Rotor and field are axial."""
+    """Return bounds near theta = 0 or pi for axial rotor and field. With x = 1 - |cos(theta)|, W rises by at least a x - b x^2 / 2."""
     radius, normal = amended(body)
     across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
@@ -104,7 +105,7 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Return bounds of a motion near a minimum of W. Turns by d give W - W* >= `least` d^2 / 2 - M d^3 / 6 - `slope` d with M >= |W'''|."""
+    """Return bounds near a minimum of W. A turn by d raises W by at least `least` d^2 / 2 - M d^3 / 6 - `slope` d, where M >= |W'''|."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
@@ -183,7 +184,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """Return an upper bound, with rounding errors, of the energy minus W(a, g). Also return `size`, the scale of rounding errors."""
+    """Return an upper bound of the energy minus W(a, g). The bound allows for rounding errors. Also return their scale `size`."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -213,10 +214,10 @@ def rigid(body, theta, angle, square, n):
 
 
 def on_sphere(Q, c, start, z, square, size):
-    """Return theta at a minimum z of W on the unit sphere. Also return, for all time, a bound of the angle from z and a bound of u.I u.
+    """Return the nutation angle of z, and bounds for all time of the angle between x and z and of twice the relative kinetic energy.
 
-    W(x) is x.Q x / 2 + c.x, u is the angular velocity in the frame, and u.I u is `square` at the start. If Q z + c = L z, then
-    W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If Q > L, this form is positive for any x. Near z a polynomial in |x - z| bounds W from below.
+    The unit vector x moves from `start` near a minimum z of W(x) = x.Q x / 2 + c.x. At the start twice the energy is `square`. If
+    Q z + c = L z, then W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If Q > L, the difference is positive. Near z a polynomial is below W(x).
     """
     curved, offset = times(Q, z), minus(start, z)
     slope = plus(curved, c)

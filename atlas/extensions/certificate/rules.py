@@ -57,7 +57,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the kinetic energy at the start allows rates within the tolerance. If not, the energy proves no label."""
+    """Whether the initial kinetic energy is that of a rate within the tolerance about some axis. If not, the energy proves no label."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 
@@ -131,7 +131,7 @@ def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bou
 def prove_points(
     system: Gyrostat, points: Points, tolerances: instrument.Tolerances, in_machine_code: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """Return the variables of the instrument, and proved labels under the names of predicted labels. 0 means no proof."""
+    """Return the variables of the instrument, and proved labels under the names of predicted labels. Unproved labels are 0."""
     bodies, one = Bodies.of(system, points), np.ones(shape_of(points))
     names = ["label"] if system.frame_rate is None else ["label", "label_inertial"]
     frame_rate = one if system.frame_rate is None else system.frame_rate(points) * one

@@ -24,7 +24,7 @@ def top(body, w, gamma, tolerances):
     v2 = 0.5 * body.gamma.gradient * (C - A)
     v1 = body.gamma.field[2] + 2 * v2 * x0
     S, a, e = C * r + body.rotor[2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
-    # Rounding errors are relative to the terms of S and v1. `spin` bounds psi' cos(theta), a term of r = phi' + psi' cos(theta).
+    # `S_size` and `v_size` scale the rounding errors of S and v1. `spin` bounds psi' cos(theta), a term of r = phi' + psi' cos(theta).
     across = np.sqrt(e * sine2)
     spin = across / (A * sine2) if sine2 > 0 else 0.0
     S_size = abs(C * r) + C * spin + abs(body.rotor[2])

@@ -25,9 +25,9 @@ _STARTS = 200  # number of random orientations from which the first search begin
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
 _ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria, as a fraction of `_scale`
 _SAME = 1e-4  # Rotation matrices count as equal if their distance is smaller.
-# Potentials count as equal if they differ by less than this fraction of `_scale`, unit vectors if `_DECIMALS` decimals agree.
+# Potentials within `_SAME_POTENTIAL` times `_scale` count as equal. Unit vectors count as equal if `_DECIMALS` decimals agree.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
-_MAX_SCALE = 1e60  # Nonzero moments, rates and torques are from 1 / _MAX_SCALE to _MAX_SCALE. Products of a few are then finite.
+_MAX_SCALE = 1e60  # Nonzero moments, rates and torques are from 1 / _MAX_SCALE to _MAX_SCALE. Products of a few of them are finite.
 _BLOCK = 512  # number of bodies that are computed together
 NOT_CERTAIN = (
     "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
@@ -36,7 +36,7 @@ NOT_CERTAIN = (
 ANGLES = ("theta0", "psi0", "phi0")
 STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
 _VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
-# Unused places of padded arrays have these values. The places of other variables have nan.
+# Unused places of padded arrays have these values, or nan if the variable is not listed here.
 _UNUSED = {
     "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
     "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),
@@ -230,7 +230,7 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """List the equilibria of all bodies together. Return completeness of the lists, and body and variables of each equilibrium."""
+    """List the equilibria of all bodies. Return the `Completeness` of each body, and the body and the variables of each equilibrium."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -287,7 +287,7 @@ def _at_once(
 
 
 def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Return body and frame of each solution of bodies symmetric about the axes `i`, and whether the solution is real."""
+    """Return the body and the frame of each solution, and whether the solution is real. The bodies are symmetric about the axes `i`."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
@@ -335,7 +335,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
         gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])
-        # With a symmetry, equilibria form circles. Least-squares steps converge fast, as the unsymmetric `hessian` has rank 2 everywhere.
+        # With a symmetry, `hessian` has rank 2 at every orientation. So least-squares steps converge fast to circles of equilibria.
         left, values, right = np.linalg.svd(hessian)
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
@@ -364,7 +364,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
 
 
 def _distinct(bodies: Body, frames: Array, scale: float) -> Array:
-    """Return the first frame of each equilibrium, and of each circle of equilibria."""
+    """Return the frames without repetitions. Frames on one circle of equilibria count as equal."""
     _, axis, _ = _classify(bodies, frames, scale)
     kept: list[int] = []
     for i, frame in enumerate(frames):

@@ -160,8 +160,8 @@ def _equilibria_of_bodies(
 ) -> tuple[np.ndarray, ...]:
     """Return the variables of the equilibria of bodies. `xr.apply_ufunc` calls this function, with dask for each chunk.
 
-    The dimension equilibrium has the length `places`, or 24 or 12 if this is None. Messages name rows of the table `source`. If
-    `source` is None, all bodies may be impossible.
+    The dimension equilibrium has the length `places`. If `places` is None, the length is 24 (satellite) or 12 (fixed_point). Messages
+    name rows of the table `source`. If all bodies are impossible, BadInput is raised, unless `source` is None.
     """
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)

@@ -48,7 +48,7 @@ _GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at the end 
 # A solution with imaginary parts below `_REAL` is real. Imaginary parts between `_REAL` and `_DISTINCT`, or distances of solutions
 # below `_DISTINCT`, leave the number of real solutions uncertain.
 _REAL, _DISTINCT = 1e-9, 1e-5
-_MERGED = 1e-4  # If the number of real solutions is uncertain, closer solutions count as one, and smaller imaginary parts as 0.
+_MERGED = 1e-4  # If the number of real solutions is uncertain, distances and imaginary parts below this number count as 0.
 _NEARLY_REAL = 1.0  # largest imaginary part of a solution that counts as nearly real
 
 
@@ -208,7 +208,7 @@ def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three
     """Return -H^-1 gradient by Cramer's rule, where H contains the derivatives of the gradient of W."""
     inertia, p, r, q = body
     b = _cross(g, a) if np.any(r) else None
-    by = {}  # (j, k) -> factors of a_i and g_i in H_ij, where k is the axis other than i and j
+    by = {}  # (j, k) -> factors of a_i and g_i in the entry H_ij, where i is the third axis
     for j, k in ((0, 1), (1, 2), (2, 0)):
         d = inertia[j] - inertia[k]
         by[j, k] = 3 * d * a[j] + p[j], q[j] - d * g[j]

@@ -152,7 +152,7 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
     """Return the signals of a motion by name, from theta, psi and phi or the observables, with their time derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
-        # Central differences along the right-hand side give the time derivatives.
+        # Each state is moved backward and forward by a short step of time. Central differences then give the time derivatives.
         points = {
             name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
             for name in system.parameters
@@ -202,7 +202,7 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
         # Lines shift each other's maxima, so that each line is refined again after the other lines are subtracted.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
-                half = coefficients[[i]] / (2 if real else 1)  # leaves out the line at the opposite frequency
+                half = coefficients[[i]] / (2 if real else 1)  # one of the two waves of a real line
                 single = (residual + np.exp(1j * np.outer(time, [frequency])) @ half) * weight
                 frequencies[i] = _refine(time, single, frequency, grid[1])
                 coefficients, residual = _fit(time, signal, frequencies, weight, real)

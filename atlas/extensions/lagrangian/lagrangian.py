@@ -250,7 +250,7 @@ class _Mechanics:
         return result
 
     def _by_powers(self, matrix: list[list[Expression]]) -> Expression:
-        """Return the Lagrangian with the quadratic part v.M v / 2, for velocities v and M = `matrix`. If M depends on v, change nothing."""
+        """Return the Lagrangian. Its quadratic part is written as v.M v / 2 with velocities v and M = `matrix`, unless M depends on v."""
         import sympy
 
         v = sympy.Matrix(self.velocities)
@@ -371,7 +371,7 @@ def _expression(name: str, value: Any, allowed: set[Expression]) -> Expression:
 
 
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three complex points, where every root and every logarithm exists."""
+    """Whether the determinant vanishes at three random points. The points are complex, so that every root and every logarithm exists."""
     import mpmath
     import sympy
 

@@ -26,8 +26,8 @@ from ...errors import BadInput, attribute_text
 from ...flags import Status
 from ...systems.base import Array, families_of
 
-BORDER = ["first", "second", "curve"]  # flags on both sides, kind of the nearest curve of theory
-# Variable over border and axis -> column of the table of pairs of neighbours, and statistic of the column.
+BORDER = ["first", "second", "curve"]  # flags on the two sides, and kind of the nearest curve of theory
+# Variable with the dimensions border and axis -> column of the table of pairs of neighbours, and statistic of this column.
 OF_AXES = {
     "pairs": ("half", "count"),
     "half_cell": ("half", "max"),
@@ -103,7 +103,7 @@ def border_error(
         Over "border" and "axis" there are `pairs` (number of pairs of neighbouring points across the border), `half_cell`,
         `distance_median` and `distance_largest` (from the middle of a pair to the curve). `points_checked` counts the points of the
         whole run that were checked at half the step, and `points_changed` counts the checked points whose label changed. With
-        check_half_step = "all", `checked` counts the points in pairs, and `sensitive` counts the points that depend on the step.
+        check_half_step = "all", `checked` counts the points beside the border, and `sensitive` counts those that depend on the step.
     """
     plane, dims, panels = plane_of(ds, x, y, select or {}, degrees=degrees)
     for dim in panels:

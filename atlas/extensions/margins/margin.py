@@ -30,7 +30,7 @@ from ...systems.base import Array, families_of
 
 # Each function tells on which side of a curve of theory a point is.
 CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]
-# Variable that changes at curves of theory -> frame of the curves.
+# Variable that changes at curves of theory -> frame of these curves: IN_SPACE, or "" for the frame of the system.
 FRAMES = dict.fromkeys(("label", "predicted", "stable", "stability_kind"), "")
 FRAMES |= dict.fromkeys(("label_inertial", "predicted_inertial"), IN_SPACE)
 
@@ -121,7 +121,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """Return the nearest of `places` below (`side` -1) or above (`side` 1) `value`, or nan. If `value` is None, do so for each sample."""
+    """Return the nearest of `places` below (`side` -1) or above (`side` 1) `value`, or nan. Without `value`, return one for each sample."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:

@@ -53,8 +53,8 @@ _ZERO = 1e-9  # A sum counts as different from 0 in a verdict if |sum| exceeds t
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
 _CHUNK = 256  # number of points computed together, so that arrays stay in the processor's cache
-# These are the monomials of c20, c11, c02 and of the resonance 3:1, as indices of factors. 0 and 1 mean zeta_1 and zeta_2, and 2 and 3
-# mean their conjugates. A deviation from the equilibrium is w_1 zeta_1 + w_2 zeta_2 + conjugates, with eigenvectors w_1 and w_2.
+# Monomials of c20, c11, c02 and of the resonance 3:1. Each number is a factor: 0 and 1 mean zeta_1 and zeta_2, and 2 and 3 mean the
+# conjugates of zeta_1 and zeta_2. A deviation from the equilibrium is w_1 zeta_1 + w_2 zeta_2 + conjugates, with eigenvectors w_1 and w_2.
 _MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)
 
 
@@ -153,9 +153,10 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Return verdicts (points,), and c20, c11, c02 and D (4, points), each times the unit of moments and nan without a normal form.
+    """Return verdicts (points,), and c20, c11, c02 and the determinant D, (4, points), multiplied by the unit of moments of inertia.
 
-    With fewer than two degrees of freedom the verdict is DEGENERATE, and the caller uses the energy. With more it is UNDECIDED.
+    Without a normal form these numbers are nan. With fewer than two degrees of freedom the verdict is DEGENERATE, and the caller uses the
+    energy. With more it is UNDECIDED.
     """
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
@@ -215,7 +216,7 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Return derivatives at 0 of terms of the Hamiltonian, (monomials, terms), and arrays with the rows of orders 2, 3 and 4."""
+    """Return derivatives at 0 of terms of the Hamiltonian, (monomials, terms), and the row of each derivative of order 2, 3 and 4."""
     from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
@@ -294,7 +295,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Return rows of indices a, b, c, e and d, factors, and the first term of each of `_MONOMIALS`, for the terms of {H3, chi} / 2.
+    """Return the terms of {H3, chi} / 2 as rows of indices a, b, c, e and d, and as factors. Also return where each monomial's terms start.
 
     The Poisson bracket {H2, chi} is -H3, where H2 and H3 are the terms of degree 2 and 3 of the Hamiltonian. Let t be the third
     derivatives of H3, and d* the index of conj(zeta_d). A term is then factor * t_abd t_ced* / (rate_c + rate_e - rate_d).

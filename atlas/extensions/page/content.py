@@ -207,7 +207,7 @@ def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
 
 
 def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Return lines of theory, unstable points whose runs ended before a drift, and reasons for white points. Single points have none."""
+    """Return lines of theory, unstable points whose runs ended before a drift, and reasons for white points, if the atlas has axes."""
     if layout.points:
         return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
     name = "label" if "label" in layout.ds else next(iter(map(str, layout.ds.data_vars)))
@@ -322,7 +322,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
         column = store.add(
             motion.over_points(xr.DataArray(ds[dim].variable.astype(np.float64)), layout.sizes)
         )
-        if layout.scene is not None or column["over"]:  # the commands leave out values that all points share
+        if layout.scene is not None or column["over"]:  # without a scene, commands omit constant coordinates
             coordinates.append({"name": name, "dim": dim, "values": column})
     return {
         "shell": f"atlas trajectory {shlex.quote(file)} --at",
@@ -458,7 +458,7 @@ class Layout:
     def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
         """Join masks over the cells of each map into one mask over all points. None stands for a mask that is false everywhere."""
         whole = np.zeros(self.shape, bool)
-        order = self.axes[::-1]  # a panel has its x axis last
+        order = self.axes[::-1]  # x is the last dimension of a panel
         axes = [order.index(dim) for dim in self.dims if dim in order]
         for (where, _), mask in zip(self.slices(), masks, strict=True):
             if mask is not None:

@@ -1,4 +1,4 @@
-"""Runs of equal style in texts with formulas. A page shows the runs without a mathematical typesetter."""
+"""Pieces of equal style in texts with formulas, called runs. A page shows the runs without a mathematical typesetter."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RAISED, LOWERED = 1, -1
 
 
 def text_runs(text: str) -> list[Run]:
-    r"""Return the runs of equal style in a text such as "$\theta_0$ (rad s$^{-1}$)", which is in Matplotlib's notation.
+    r"""Return the pieces of equal style (runs) in a text such as "$\theta_0$ (rad s$^{-1}$)", which is in Matplotlib's notation.
 
     A run has the keys "t" (letters), "i" (true if italic) and "s" (1 raised, -1 lowered). An unknown command such as \foo becomes foo.
     """
@@ -106,7 +106,6 @@ class _Formula:
             self.set(token, shift, accent)
 
     def set(self, token: str, shift: int, accent: str) -> None:
-        """Typeset one token."""
         if token in ("_", "^"):
             self.argument(RAISED if token == "^" else LOWERED, "")
         elif token == "{":

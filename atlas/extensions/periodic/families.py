@@ -24,7 +24,7 @@ from .flow import SIZE
 from .orbits import Family, Orbit, Solution
 
 NODES, MOST_NODES = 5, 40
-# Nodes are added if a segment amplifies changes more than EXPANSION times, or if the mean segment exceeds SEGMENT * period at the birth.
+# Nodes are added if changes grow by a factor above EXPANSION in a segment, or if the mean segment exceeds SEGMENT * (period at birth).
 SEGMENT, EXPANSION = 0.3, 60.0
 # Length and number of the first steps, which give d period / d energy at the birth; longest and shortest step; largest number of steps.
 FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
@@ -32,11 +32,11 @@ FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
 ANGLE, GROWTH, COSINE = 0.35, 1.5, 0.9
 FAR = 0.35  # largest distance of an orbit from its guess, as a fraction of the step
 FAST = 12.0  # a family is unbounded if a rate exceeds this multiple of `Flow.rate`
-SLOW = 1.5e-3  # a steady motion may be near an orbit whose least speed is below this fraction of the largest
+SLOW = 1.5e-3  # a steady motion is looked for if the least speed on an orbit is below this fraction of the largest speed on the orbit
 COMPLETE = 3.0  # pairs of events within a step are looked for while the period is below this multiple of the period at the birth
-LATER = 3.0  # at periods above the limit of COMPLETE, ANGLE and GROWTH are multiplied by this factor
-# A function may have a pair of zeros where the polynomial through members falls below DIP times the least value of the members. Up to
-# PAIRED members are computed there, until a value is below TOUCHING and counts as 0.
+LATER = 3.0  # ANGLE and GROWTH are multiplied by this factor while the period is above COMPLETE times the period at the birth
+# A function may have a pair of zeros if the polynomial through known values falls below DIP times the least of these values. Then up to
+# PAIRED members are computed at minima of the polynomial. A value below TOUCHING counts as 0 and ends this search.
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
 SAME = 0.02  # events at a distance below this fraction of a step are the same
 RETURNED = 0.01  # states at a distance below this fraction of the size of the orbit are the same
@@ -156,7 +156,7 @@ class Section:
             if (new := self.at(arc if i % 4 < 3 else 0.5 * (low.arc + high.arc))) is None:
                 break
             low, high = (low, new) if value(new) * value(low) < 0 else (new, high)
-        for share in SHARES:  # a singular orbit is near, where Newton's method fails
+        for share in SHARES:  # Newton's method fails near a singular orbit, so members elsewhere are added
             self.at(low.arc + share * (high.arc - low.arc))
         return self.estimate(value, low, high)
 
@@ -177,7 +177,7 @@ class Section:
         return [self.zero(value, a, b) for a, b in pairwise(self.members) if value(a) * value(b) < 0]
 
     def hides_no_pair(self, value: Value, others: Sequence[Member]) -> bool:
-        """Compute members where `value` may have a pair of zeros; return whether no pair is missed. `others` are members nearby."""
+        """Compute members where `value` may have two zeros. Return whether no such pair is missed. `others` lie in nearby sections."""
         middle, sign = self.start.arc + 0.5 * self.length, np.sign(value(self.start))
         for _ in range(PAIRED):
             values = [sign * value(each) for each in self.members]

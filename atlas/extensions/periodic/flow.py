@@ -59,7 +59,7 @@ class Flow:
         powers, constant = self.equations.INTEGRALS, system.integral_scales(points)
         self.energy = next(iter(powers))
         self.momenta = [name for name in powers if powers[name] == 1 and not np.isnan(constant[name][0])]
-        # Rotations keep the length of gamma.
+        # Changes of attitude that are rotations keep the length of gamma. For other changes the length is held like a momentum.
         self.held = self.momenta if self.rotates else ["length_gamma", *self.momenta]
         self.tangents = specialization.tangent_kernel(system)
         self.path = specialization.node_kernel(system, TANGENT_METHOD.name)

@@ -25,7 +25,7 @@ NEWTON, CONVERGED, STALLED, TOO_FAR = 8, 1e-12, 1e-9, 3.0
 # A nearly singular orbit is accepted if residuals are below CLOSED and the step is below ROUNDED. A matrix is singular
 # if its QR factor has a diagonal element below SINGULAR times the largest.
 CLOSED, ROUNDED, SINGULAR = 1e-13, 1e-6, 1e-14
-# Multipliers above LARGE make the others inaccurate. The others are computed alone if they are smaller by the factor SEPARATE.
+# A multiplier above LARGE makes the others inaccurate. The others are computed without it if it exceeds them by the factor SEPARATE.
 LARGE, SEPARATE = 1e6, 1e4
 
 
@@ -83,7 +83,7 @@ class SteadyMotion:
         for exponent, vector in zip(exponents, vectors.T, strict=True):
             if exponent.imag > ROUNDING * bound > abs(exponent.real):
                 mode, factor = basis @ vector, np.exp(exponent * time)
-                # The mode also has a part along turns about the axis of symmetry, which `basis` lacks.
+                # The mode also has a part along turns about the axis of symmetry. `basis` is orthogonal to such turns.
                 swing = self.along @ (matrix @ mode - factor * mode) / max(self.along @ self.along, 1e-300)
                 mode = mode + self.along * swing / (factor - 1)
                 mode = mode * np.exp(-0.5j * np.angle((mode * mode).sum())) / np.linalg.norm(mode)
@@ -233,7 +233,7 @@ class Family:
             matrix = before.T @ final @ product
         values, result = list(np.linalg.eigvals(matrix).astype(complex)), list[complex]()
         while values:
-            # Small multipliers have rounding errors of the size of the largest one, so 1 / mu replaces them.
+            # The multipliers are pairs mu, 1 / mu. Only the larger multiplier of a pair is accurate, and the other is computed as 1 / mu.
             mu = values.pop(int(np.argmax(np.abs(values))))
             if large and len(values) == 3 and abs(mu) > SEPARATE * np.abs(values).max():
                 values = sorted(np.linalg.eigvals(matrix[1:, 1:]).astype(complex), key=abs)[1:]

@@ -114,7 +114,7 @@ def periodic(
     xarray.Dataset
         Variables over the dimensions of arrays and "family", with the parameters as coordinates. With "orbit": start values for
         `trajectory` and `label_points`, where theta is largest; period; turn of a symmetric body about its third axis, after which
-        the motion repeats; energy; theta_min; theta_max; orbit_stable (flags); closing, the error; arc, the length from the birth.
+        the motion repeats; energy; theta_min; theta_max; orbit_stable (flags); closing, the error at the nodes; arc, the length from birth.
         With "orbit" and "multiplier": multiplier_real, multiplier_imag, without the multipliers that are always 1. With "event":
         event_kind (flags), event_period, event_energy, event_arc. Without both: frequency, birth_period, birth_energy, birth_slope
         (dT/dh for period T and energy h), the constant momenta, end (flags), end_period, end_energy, complete (flags).
@@ -122,7 +122,7 @@ def periodic(
     Raises
     ------
     BadInput
-        If the start is no steady motion, has no such frequency, or Lyapunov's theorem gives no family. If all of several bodies fail.
+        If the motion is not steady or has no such frequency, or if Lyapunov's theorem gives no family; for several bodies, if all fail.
 
     Notes
     -----

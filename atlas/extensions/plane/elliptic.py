@@ -37,7 +37,7 @@ class EllipticFunctions(NamedTuple):
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             ratio = c / a
             below = 1 / (1 + ratio * sn * sn)
-            # b + c cn^2 equals a - c sn^2, but has no cancellation.
+            # Here a is b + c. The sum b + c cn^2 equals a - c sn^2 and has no cancellation.
             sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (b / a + ratio * cn * cn) * below
         return sn, cn, dn
 

@@ -37,8 +37,8 @@ class _Steps(NamedTuple):
     """Numbers of steps in a quarter of the period. Sums with these numbers are extrapolated to infinitely many steps."""
 
     shortest: float  # length of the shortest steps times the norm of the matrix of the linear equations
-    counts: tuple[int, ...]  # numbers of steps, divided by the least number
-    most: int  # upper limit of the least number of steps; if more are needed, `multiplier_sums` is nan
+    counts: tuple[int, ...]  # ratio of each number of steps to the least number of steps
+    most: int  # limit of the least number of steps, above which `multiplier_sums` is nan
 
     def weights(self) -> Array:
         """Return the weights of the sums in two extrapolations, one with all numbers of steps, and one without the least number."""
@@ -55,7 +55,7 @@ _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
 _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
 _TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
-# A sum changes if the longest steps are left out. The error of the sum is at most _CHANGE times the change (measured: 0.3 times).
+# Upper limit of the error of a sum, divided by the change of the sum if the longest steps are left out. The largest measured ratio is 0.3.
 _CHANGE = 3.2
 # With R and H of the module's text, R H^-1 R is H^T with exchanged halves of rows and of columns, times these signs.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
@@ -65,16 +65,16 @@ class PlaneMotions(NamedTuple):
     """Motions of bodies in the plane, as arrays (points,). The units of moments and of rates are powers of 2."""
 
     unit: Array  # unit of rates
-    low: Array  # A, the moment about the axis that is along alpha at the pitch x = 0
-    high: Array  # B, the moment about the axis that is normal to alpha and e3 at x = 0
-    axial: Array  # C, the moment about the third axis e3
+    low: Array  # A, the moment of inertia about the axis that is along alpha at the pitch x = 0
+    high: Array  # B, the moment of inertia about the axis normal to e3, and to alpha at the pitch x = 0
+    axial: Array  # C, the moment of inertia about the third axis e3
     rotor: Array
     gradient: Array
     field: Array  # h, the component of the field along the vertical gamma
     frame: Array  # angular velocity along e3 of a body at rest in the frame
     symmetric: Mask  # whether the first or second axis is an axis of symmetry, so that two multipliers are 1
     rotates: Mask
-    frequency: Array  # f, which has the sign of x' in a rotation
+    frequency: Array  # f, which has the sign of the pitch rate x' in a rotation
     modulus: Array  # k^2
     complement: Array  # 1 - k^2, which is 0 on the separatrix
     rounding: Array  # relative rounding error of 1 - k^2
@@ -114,7 +114,7 @@ class PlaneMotions(NamedTuple):
         return EllipticFunctions.of(self.modulus, self.complement)
 
     def period(self) -> Array:
-        """Return the period 4 K/f of a libration or of a whole turn, in time units, with the complete integral K of the first kind."""
+        """Return the period 4 K/f of a libration or whole turn, in time units, for the complete elliptic integral K and f = |frequency|."""
         return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
@@ -129,7 +129,7 @@ class PlaneMotions(NamedTuple):
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:
-        """Return x without its mean rotation, x' divided by `frequency`, and Jacobi's zeta function, `turns` periods after x = 0."""
+        """Return values `turns` periods after x = 0: x without its mean rotation, x' divided by `frequency`, and Jacobi's zeta function."""
         (sn, cn, dn), (amplitude, zeta) = self.mean.functions(turns), self.mean.periodic(turns)
         k = np.sqrt(self.modulus)
         angle = np.where(self.rotates, amplitude, np.arctan2(k * sn, dn))
@@ -148,7 +148,7 @@ class PlaneMotions(NamedTuple):
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))
-        # `square` is the variance of x' over whole periods. A part of a period adds `slope` to the mean of x', and `ends` to that of x'^2.
+        # `square` is the variance of x' over whole periods. A part of a period adds `slope` to mean x' and `ends` to mean x'^2.
         square = np.where(self.rotates, mean.squares(1.5), 0.5 * self.modulus + mean.squares(0.0)) * f**2
         slope, ends = (angles[1] - angles[0]) / span, f * (zeta[1] - zeta[0]) / span
         variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2
@@ -161,7 +161,7 @@ class PlaneMotions(NamedTuple):
         rho^2 - t rho + u - 2 = 0. All rho are real and in (-2, 2) if and only if t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
-        # As in `multipliers`, fine sums give the verdicts near borders and, unless `rough`, all growth rates.
+        # As in `multipliers`, sums with the steps _FINE give the verdicts near borders and, unless `rough`, all growth rates.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._verdict(_FINE)
@@ -200,15 +200,15 @@ class PlaneMotions(NamedTuple):
         """Return t / c and s / c^2 for t and s of `multipliers`, and log(c). The scale c is 1 unless t or s could overflow."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        # The sum rho = multiplier + 1/multiplier of half a turn becomes rho^2 - 2 for the whole turn.
+        # For half a turn let rho = multiplier + 1/multiplier. For the whole turn this sum is rho^2 - 2, with the t and s below.
         turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """Return t / c, u / c^2, log(c) and two changes, (5, points). All are nan near the separatrix and if too many steps are needed.
+        """Return t / c, u / c^2, log(c), and the changes of t / c and u / c^2 if the longest steps are left out, (5, points).
 
-        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient, and c a scale. The changes
-        are those of t / c and u / c^2 if the longest steps are left out.
+        t is the trace of the matrix over a libration or half a turn, u the second characteristic coefficient of the matrix, and c a scale.
+        All are nan near the separatrix and if too many steps are needed.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))
@@ -239,7 +239,7 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
-        """Return t / c, u / c^2 and log(c) of `multiplier_sums`, (3, LANES). `matrices`, at first zeros, is filled for `of_steps`."""
+        """Return t / c, u / c^2 and log(c) of `multiplier_sums`, (3, LANES). Write the coefficients of the equations into `matrices`."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)
         nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])

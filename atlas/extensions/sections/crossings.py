@@ -26,8 +26,8 @@ NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, i
 # Allowed numbers of steps between two nodes. There are few, so that motions share blocks of the kernel.
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
 NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory, of all motions and of one motion
-# A cubic nearly touches 0 if |extremum| in the middle is below TOUCHING times the larger |value| at an end. The limit is lower near
-# the ends, where the cubic is exact. If a motion is twice as fast as its frequency bound, the error of a cubic is a third of the limit.
+# A cubic nearly touches 0 if |extremum| is below a limit. In the middle of an interval the limit is TOUCHING times the larger |value| at
+# the ends. Near the ends the limit is lower, like the error of a cubic. At twice the frequency bound this error is a third of the limit.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
 # Newton's method stops when a step is below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end.
@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # The generic change multiplies each component of a state by another factor, because equal factors would not turn a unit vector.
+        # `largest` is the function's derivative if each component grows by its own share. Equal shares would not turn a unit vector.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -100,8 +100,8 @@ def _zeros(
 ) -> tuple[Counts, Array]:
     """Return, in order, the interval of each zero that is crossed in `direction`, and the fraction of the interval before the zero.
 
-    `ends` are values and slopes at both ends of the intervals. Until Newton's method is done, a piece of an interval is cut where its
-    cubic nearly touches 0, else where the cubic crosses 0.
+    `ends` are values and slopes at both ends of the intervals. An interval is cut where a cubic with these values and slopes
+    nearly touches 0, else where the cubic crosses 0. The pieces are cut likewise, until Newton's step from a crossing is short.
     """
     f0, s0, f1, s1 = ends
     size, zeros = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((2, 0))]
@@ -121,7 +121,7 @@ def _zeros(
         change = -value / slope
         margin = np.minimum(share - pieces[1], pieces[4] - share)
         found = crosses & (np.abs(change) <= np.maximum(LAST_STEP, LAST_SHARE * margin))
-        is_zero = found & (np.abs(value) <= size[place])  # The value is large at a pole.
+        is_zero = found & (np.abs(value) <= size[place])  # |value| is large at poles, where signs change too
         zeros.append(np.array([place, share + change])[:, is_zero])
         halves = np.array([pieces, pieces])
         halves[0, 4:] = halves[1, 1:4] = share, value, slope

@@ -163,7 +163,7 @@ def cache_folder() -> Path:
 
 
 def is_private(folder: Path, instead: str) -> bool:
-    """Whether no other user can have written into a folder of the cache. Otherwise a warning says what is done `instead`."""
+    """Whether a folder of the cache is readable, and only this user can have written there. If not, warn what is done `instead`."""
     if folder != cache_folder() and not is_private(cache_folder(), instead):
         return False
     status = os.lstat(folder)
@@ -286,7 +286,7 @@ def check_folder(path: Path) -> None:
 def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
     """Raise BadInput if `path` is one of the inputs, or lies in an input that is a folder. Links are resolved."""
     for each in map(Path, inputs):
-        with suppress(OSError):  # a path may not exist
+        with suppress(OSError):  # a path may be missing
             if each.is_dir() and path.resolve().is_relative_to(each.resolve()):
                 raise BadInput(f"{path}: in {each}, which is read; choose another place")
             if path.samefile(each):

@@ -25,7 +25,7 @@ OWN = b"atlas_version", b"checksums"
 
 
 def locked_text(path: Path | str) -> str:
-    """Return the end of a message if another program holds the file for writing, else an empty text."""
+    """Return a text which says that another program writes or has locked the file. If none does, the text is empty."""
     with suppress(OSError), open(path, "rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

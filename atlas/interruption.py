@@ -22,7 +22,7 @@ from .errors import printable
 INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
 STOPPED = 75  # exit code of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# A process that does not react ends GRACE_PERIOD seconds after a signal. Finding or printing the message may take MESSAGE_PERIOD.
+# A busy process prints a message and ends GRACE_PERIOD s after a signal. Finding and printing the message may each take MESSAGE_PERIOD.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # batch systems send these before the end of a job
@@ -33,7 +33,7 @@ _kept: Callable[[], object] = str  # function that returns the text about finish
 
 
 class Stopped(Exception):
-    """The time of a run is over. Finished work is kept, and the same call continues the run."""
+    """Raised when the time allowed for a run is over. Finished work is kept, and the same call continues the run."""
 
 
 def end_process(number: int | None = None, *_: object) -> None:
@@ -66,7 +66,7 @@ def _in_time(function: Callable[[], object]) -> object:
 
 
 def explain_kept(text: Callable[[], str] | None) -> None:
-    """Set the function that returns the text about finished work in the message of an interruption."""
+    """Set a function that returns a text about finished work. The message of an interruption contains this text."""
     global _kept
     _kept = text or str
 

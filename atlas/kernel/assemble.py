@@ -58,12 +58,12 @@ def reachable(
 
 
 def file_of(of: ModuleType) -> str:
-    """Return the name of a kernel module without the package. Comparing names needs no import of another kernel."""
+    """Return the name of a kernel module without the package. Callers compare the name, and need not import other kernel modules."""
     return of.__name__.rpartition(".")[2]
 
 
 def entries(of: ModuleType, plugs: Sequence[Plug]) -> tuple[Any, ...]:
-    """Return the functions of `plugs` that a kernel calls, and `integrate` of the kernel module `of`."""
+    """Return the functions of `plugs` that a kernel calls, and the function `integrate` of the kernel module."""
     return *dict.fromkeys(plug.add_node for plug in plugs if plug.add_node), of.integrate
 
 
@@ -237,7 +237,7 @@ def observable_names(equations: ModuleType) -> tuple[str, ...]:
 def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Return sources of observables and differentials by name, and the lines of the functions that call these sources."""
+    """Return, by name, sources of functions that compute observables or their differentials, and lines of functions that call them."""
     changes, values, slopes, lines = dict[str, str](), [], [], []
 
     def value(name: str) -> str:

@@ -135,7 +135,7 @@ def integrate(
     steps = np.minimum((last - first) * schedule.steps_per_sample, schedule.steps) * WIDTH
     if not arrays.resume.size and (steps > CHUNK).any():
         arrays = resumable(kernel, arrays)
-    # The first call may compile the kernel. A thread makes this call, so that Ctrl-C need not wait.
+    # The calling thread does small work itself. The first call, which may compile, runs in another thread, so that Ctrl-C need not wait.
     if threads.count is None and steps.sum() <= FEW and getattr(kernel.integrate, "signatures", True):
         threads = Threads(0, threads.progress)
     call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads)

@@ -92,7 +92,7 @@ class Ensemble:
             return start.with_given(system, points, plugs)
 
     def with_given(self, system: System, points: Points, plugs: Sequence[Plug]) -> Ensemble:
-        """Return the ensemble with the constants of the instruments `plugs`, which measure the motion from `state` on."""
+        """Return the ensemble with the constants of the instruments `plugs`. The instruments measure the motion that begins at `state`."""
         given = [plug.constants(system, points, self) for plug in plugs]
         return replace(self, given=np.concatenate([np.empty((0, self.size)), *given]))
 
@@ -192,7 +192,7 @@ class Ensemble:
 
         All weights are positive, so that the sum of theta'^2 only grows. (The correction of a passage near the vertical removes at
         most one sample.) A point drifts once the sum exceeds the limit of the whole run and sin theta has exceeded twice the radius
-        of the cylinder. A later entry into the cylinder counts as drift, too. Whole runs have the same bits as in a single call.
+        of the cylinder. A later entry into the cylinder counts as drift, too. Runs without an early stop have the same bits as in one call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
@@ -238,6 +238,6 @@ def integral_scales(
         terms = getattr(system.equations, name)(state, constants)
         size = np.maximum(sum(np.abs(term) for term in terms), floors[name])
         size = np.where(size == 0.0, 1.0, size)
-        # A floor of nan gives the scale 0, so that changes of the integral are ignored.
+        # If the floor is nan, the size is nan. The scale is then 0, so that changes of the integral are ignored.
         rows.append(np.where(np.isnan(size), 0.0, 1.0 / size))
     return np.ascontiguousarray(np.reshape(rows, (len(rows), state.shape[1])))

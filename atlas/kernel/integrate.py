@@ -160,7 +160,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
         intervals, spacing = steps[block] // stride, STEP * stride
         rule = min(intervals, LONG)
         begins, ends = first_node[block] == 0, last_node[block] == intervals + 1
-        # The counts are integers of NumPy, because Numba would compile the callees for a literal 0 as well.
+        # The counts are integers of NumPy. For a literal 0, Numba would compile the called functions a second time.
         passage_count, turn_count = np.int64(0), np.int64(0)
         load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales)
         load_step_sizes(points, block, step_size, dt, inverse_unit)
@@ -414,7 +414,7 @@ def correct(
 
 
 def zeros(passages, terms, farther, count):
-    """Write the nearer or the farther zeros of `count` passages into terms[farther]. `passages` holds divided differences."""
+    """Find the zero of zeta = g1 + i g2 nearest to each passage, or the farther zero, and write the terms of the poles into `terms`."""
     for e in range(count):
         approximate_zero(passages, e, farther)
     for _ in range(NEWTON_STEPS):

@@ -20,8 +20,8 @@ from .ensemble import Ensemble
 from .stepsize import GOLDEN_SECTION
 from .tableaux import Method
 
-# The mean time between samples is SAMPLE_RADIANS divided by the frequency bound. This is short enough to show that a motion becomes
-# faster, as on an eccentric orbit before the pericentre, while the steps still resolve the motion.
+# The mean time between samples is SAMPLE_RADIANS divided by the frequency bound. With this spacing the samples show that a motion
+# becomes faster (for example before the pericentre of an eccentric orbit) before the steps are too long for the motion.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
 # Samples are early by up to EARLY times their mean distance. Equidistant samples could always meet a forcing at the same phase.
 EARLY = 0.5
@@ -32,8 +32,8 @@ ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # If the frequency exceeds TOLERATED times the bound, the bound is raised by a factor from RAISE to RAISE_MOST. The factor is
 # limited because a coarse run may be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
-# The bound is raised until the largest n-th derivative of a state, n = 2 and 3, is at most OVERTONE times the bound times the largest
-# (n - 1)-th derivative. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.
+# The bound is raised until each state x has max |x''| <= OVERTONE bound max |x'| and max |x'''| <= OVERTONE bound max |x''|. With
+# 1 / bound as the unit of time, derivatives below NEGLIGIBLE times the state are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # number of Jacobians computed at a time
 FEW_STEPS = 20000  # this many steps, summed over points, take less time than starting a thread
@@ -118,8 +118,8 @@ def _largest_frequency(
 ) -> Array:
     """Return the largest frequency of each motion up to the first sample whose frequency exceeds the bound, or inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
-    # A state whose rate depends on no state is time. If no state is time, the Jacobian shows every frequency. The derivatives are
-    # then ignored, because on steady motions they are rounding errors.
+    # If the rate of a state does not depend on the states, this state is time. Without such a state, the Jacobian shows every frequency.
+    # The time derivatives of the states are then ignored, because on steady motions these derivatives are rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
     sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitudes of states and first three derivatives
@@ -131,7 +131,7 @@ def _largest_frequency(
         part = ensemble.subset(active)
         # The number of samples doubles in each turn of this loop, because most bounds that are too low are exceeded early.
         count = int(np.clip(min(MATRICES // active.size, n_samples), 1, samples[active].max() - n_samples))
-        # The first call may compile the kernel. A thread makes this call, so that Ctrl-C need not wait.
+        # This thread does small work itself. The first call, which may compile, runs in another thread, so that Ctrl-C need not wait.
         direct = n_samples > 0 and steps[active].sum() <= FEW_STEPS
         in_threads = Threads(0) if direct else threads
         step_sizes = distances[n_samples : n_samples + count, None] * mean_step_size[active]
@@ -145,7 +145,8 @@ def _largest_frequency(
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
         sampled = n_samples + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
-        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # up to the first frequency above the bound
+        # Use the samples up to and including the first sample above the bound.
+        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
         derivatives = np.fmax.reduce(np.where(sampled, derivatives, 0.0), axis=2)
         sizes[:, :, active] = np.fmax(sizes[:, :, active], derivatives)

@@ -181,7 +181,7 @@ def section(
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
-    """Return the range of the values at the starts for each constant first integral, divided by the largest size in `integral_scales`."""
+    """Return the range of each constant first integral over the starts, divided by the integral's largest size (1 / `ensemble.scales`)."""
     equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)

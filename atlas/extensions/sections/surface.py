@@ -23,7 +23,7 @@ TINY = 1e-300  # keeps rates on the vertical finite
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
-    """Return the named quantities, the states and the constants. Imaginary parts of states are carried exactly to first order."""
+    """Return the named quantities, the states and the constants. States with tiny imaginary parts give exact derivatives (complex step)."""
     equations = system.equations
     values = dict(zip((*equations.CONSTANTS, *equations.STATE), (*constants, *state), strict=True))
     missing = {*names} - values.keys()
@@ -47,7 +47,7 @@ def quantities(system: System, names: Collection[str], state: Any, constants: Ar
 
 
 def _angle(sine: Any, cosine: Any) -> Any:
-    """Return the angle with this sine and cosine, which may have a common factor. Imaginary parts are carried to first order."""
+    """Return the angle of a sine and a cosine, which may have a common factor. Tiny imaginary parts give exact derivatives."""
     y, x = np.real(sine), np.real(cosine)
     return np.arctan2(y, x) + 1j * (np.imag(sine) * x - np.imag(cosine) * y) / (x * x + y * y)
 

@@ -25,8 +25,8 @@ HIDDEN, BESIDE = {"theta0": [1e-4, 1e-5, 1e-6]}, {"theta0": [0.0, 0.3]}
 OFFSETS, LOGARITHMS = np.geomspace(1e-15, 3e-11, 10), np.linspace(20.0, 25.0, 10)
 # Least angles between axis and vertical during a passage, in rad, and the angular speed of the axis at the least angle.
 SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
-# Name -> kind of exact motion and parameters, for bodies that pass the vertical. On the orbit these are spheres, on which gravity
-# exerts no torque. The other bodies have no orbit.
+# Name -> kind of exact motion and parameters, for bodies whose axis passes the vertical. The satellites in the first table are spheres,
+# on which gravity exerts no torque, or do not orbit (Omega = 0). The bodies in the second table turn about a fixed point.
 _TOPS_ON_ORBIT: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "sphere": ("symmetric top", {"C": 1.0, "k3": 0.4}),
     "magnetic sphere": ("symmetric top", {"C": 1.0, "k3": 0.4, "mu3": 1.0, "h3": -0.6}),
@@ -205,7 +205,7 @@ def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
         _shared("overflow", theta0=0.5, k1=[1e200, 0.0, 0.0, 0.0], m=[0.0, 1e300, 0.0, 0.0],
                 mu1=[0.0, 0.0, 1e300, 0.0], h1=[0.0, 0.0, 1e300, 0.0], n=[0.0, 0.0, 0.0, 1e160],
                 may_stay_unresolved=OVERFLOW),
-        # The starts `slow` are exact. The linear equations of these starts have a period much longer than the run.
+        # The motions from the starts `slow` are exactly steady. The linear equations have the period 2 pi / m, longer than the run.
         StressCase("slow spin, unstable", "magnet across the axis, so that the linear equations are periodic",
                    duration, slow, may_stay_unresolved=GROWN),
         _departure("unstable rest, offset", "equilibria with rotor and magnet", *_unstable_satellites(system)),

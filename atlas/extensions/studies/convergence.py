@@ -39,8 +39,8 @@ def convergence(
 ) -> xr.Dataset:
     """Return flags at `points` or fewer points of a grid, for several values of settings.
 
-    The variable FLAG_of_SETTING lies along SETTING_factor and the axes of the scene. The variable `label_change` tells for which
-    settings a factor in VARIED changes a flag.
+    The variable FLAG_of_SETTING lies along SETTING_factor and the axes of the scene. At each point, `label_change` names the
+    settings that change a flag if they are multiplied by one of their factors in VARIED.
     """
     for name in names:
         if name not in VARIED:

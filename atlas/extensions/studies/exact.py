@@ -52,7 +52,7 @@ def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
 
 
 def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
-    """Return the argument between -2 K and 2 K at which sn and cn have these values."""
+    """Return the argument between -2 K and 2 K at which sn and cn have these values. K is the quarter period for m = 1 - complement."""
     quarter = float(ellipkm1(complement))
     first = float(sn * elliprf(cn**2, cn**2 + complement * sn**2, sn**2 + cn**2))
     return first if cn >= 0 else float(np.copysign(2 * quarter, sn)) - first
@@ -108,7 +108,7 @@ class SymmetricTop:
     ) -> None:
         """Find the smallest x = 1 - u and y = 1 + u of the motion, which are roots of cubics, and the modulus and frequency."""
         e_plus, e_minus = kinetic + beta * low, kinetic - beta * high
-        # The cubic is u'^2 in powers of x. All roots are real, and Laguerre's steps ascend from 0 to the smallest root.
+        # `cubic` has the coefficients of u'^2 as a cubic in x. All roots are real, and Laguerre's steps ascend from 0 to the smallest root.
         cubic = np.array([-(upper**2), 2 * e_plus - 2 * a * upper, -e_plus - 2 * beta - a**2, beta])
         x = 0.0
         for _ in range(100):
@@ -119,7 +119,7 @@ class SymmetricTop:
             if value >= 0 or slope <= 0:
                 break
             x -= 3 * value / (slope + np.sqrt(np.maximum(4 * slope**2 - 6 * value * curvature, 0.0)))
-        # With v = 1 + u, u'^2 = (v - (2 - x)) (r0 + r1 v - beta v^2). The quadratic has the roots y >= 0 and -third / beta <= 0.
+        # With v = 1 + u and the root x, u'^2 = (v - (2 - x)) (r0 + r1 v - beta v^2). The other roots are v = y >= 0 and -third / beta <= 0.
         r0 = lower**2 / (2 - x)
         r1 = (r0 - 2 * e_minus - 2 * a * lower) / (2 - x)
         larger = 0.5 * (abs(r1) + np.sqrt(r1**2 + 4 * beta * r0))
@@ -198,7 +198,7 @@ class FreeGyrostat:
         l, L2, E2 = self.rotor, self.momentum**2, self.energy
         quadratics = [
             np.array([-C * (C - other), -2 * C * l, L2 - l**2 - other * E2]) for other in (B, A)
-        ]  # These are A (A - B) w1^2 and B (B - A) w2^2.
+        ]  # coefficients of A (A - B) w1^2 and B (B - A) w2^2 as quadratics in r = w3
         roots = [(complex(root), i) for i in (0, 1) for root in np.roots(quadratics[i]).tolist()]
         nearest = min((root for root in roots if root[0].imag == 0), key=lambda root: abs(root[0].real - r))
         roots.remove(nearest)
@@ -244,7 +244,7 @@ class FreeGyrostat:
         self.sign = np.copysign(1.0, w[self.other])
 
     def velocity(self, time: Array) -> Array:
-        """Return the angular velocity in the rotor's axes, with the shape (3, times)."""
+        """Return the angular velocity, (3, times), in body axes that are renumbered so that the rotor is along the third axis."""
         A, B, C = self.inertia
         sn, cn, dn = jacobi(self.frequency * time + self.phase, self.complement)
         if self.roots_real:
@@ -259,7 +259,7 @@ class FreeGyrostat:
         rest, squares = self.momentum**2 - (C * r + self.rotor) ** 2, self.energy - C * r**2
         squared = ((rest - B * squares) / (A * (A - B)), (rest - A * squares) / (B * (B - A)))
         first, second = (np.sqrt(np.maximum(squared[i], 0.0)) for i in (self.zero_of, self.other))
-        # The larger component follows from its square. The smaller component, with its sign, follows from r' = (A - B) w1 w2 / C.
+        # The larger of w1 and w2 follows from the square. The smaller component and its sign follow from w3' = (A - B) w1 w2 / C.
         product = C * slope / (A - B)
         second_sign = self.sign * np.where(cn < 0, -1.0, 1.0) if self.both_turn else self.sign
         first_sign = np.where(product * second_sign < 0, -1.0, 1.0)
@@ -388,7 +388,7 @@ def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
         halves = np.sort(np.concatenate([edges, middle]))
         whole, parts = _integrals(motion, edges), _integrals(motion, halves)
         parts = parts[:, ::2] + parts[:, 1::2]
-        # The fastest rate is the scale of the rates. Squares have a smaller scale, for standard deviations down to 1e-6 of this rate.
+        # The scale of a rate's integral is motion.rate x duration. The scale of a square's integral is the integral plus a small term.
         scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
         scale[:4] = motion.rate * duration
         bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)

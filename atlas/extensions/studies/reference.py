@@ -49,7 +49,8 @@ class Reference:
     """Reference solution of some points, with the uncertainty of the solution."""
 
     state: Array  # state at the end of the run, (states, points)
-    # Statistics of the main instrument, also "sine_max" and "outside". Statistics of psi' and phi' are NaN inside the cylinder.
+    # Statistics of the main instrument, also the largest sine of theta ("sine_max") and the fraction of time "outside" the cylinder about
+    # the vertical. Statistics of psi' and phi' are NaN if the axis stays inside the cylinder.
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
@@ -72,10 +73,10 @@ def reference(
 ) -> Reference:
     """Return final states, statistics and labels, or raise ReferenceFailure.
 
-    SciPy's DOP853 integrates every point at the relative tolerances REFERENCE_RTOL and SECOND_RTOL. The closed form of a family
-    replaces the first run where a start is exactly on the family. The uncertainty is SAFETY times the difference of
-    the two runs, or of the closed form and the first run. The closed form is not more certain than a run, because the rounding
-    error of an exact start grows along an unstable motion.
+    SciPy's DOP853 integrates every point twice, at the relative tolerances REFERENCE_RTOL and SECOND_RTOL. The result is the
+    first run, or the closed form where a start is exactly on a family. The uncertainty is SAFETY times the difference between
+    the two runs, or between the closed form and the first run. The closed form is no more certain than a run, because the
+    rounding error of an exact start grows along an unstable motion.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
@@ -122,7 +123,7 @@ def reference(
 def reference_where_possible(
     system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> tuple[Reference | None, np.ndarray]:
-    """Return the reference solution without the points that fail (None if all fail), and the indices of the other points."""
+    """Return the reference solution of the points that do not fail, or None if all fail, and the indices of these points."""
     indices = np.arange(duration.size)
     while indices.size:
         try:

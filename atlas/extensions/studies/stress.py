@@ -66,7 +66,7 @@ def stress(
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
-    # The cases without a `truth` come first, because one call of `true_labels` finds the labels of all.
+    # The cases without a `truth` come first, because one call of `true_labels` finds the labels of all these cases.
     parts.sort(key=lambda part: part.truth != "")
     plain, truths = [part for part in parts if not part.truth], list[TrueLabels]()
     if plain:
@@ -346,7 +346,7 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """Return cases that vary one parameter each: the default times powers of 10, values from bound to bound, and a huge value."""
+    """Return two cases without variation, then a case for each parameter: +- default times powers of 10, values in the bounds, +- HUGE."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:
@@ -417,7 +417,7 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
     y = method.stability * np.linspace(0.95, 1.05, 1025)
     body = {"A": 1.0, "B": 1.0, "C": 1.0, "theta0": 1.0, "phi0": np.zeros(y.size)}
     starts = {
-        # parameters, rows of the state that hold the turning vector, amplitude of the vector
+        # parameters, rows of the state with the vector that turns (gamma or w), and amplitude of this vector
         "turning": ({"m": 1.0}, slice(3, None), 1.0),
         "nutation": ({"l3": 1.0, "theta_dot0": 1e-9}, slice(2), 1e-9),
     }

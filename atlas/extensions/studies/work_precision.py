@@ -526,7 +526,8 @@ def _cheapest_text(
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _points_above(ds, row, target)
-    if above and name == "tolerance":  # else the target is a median error, which half of the points exceed
+    # If steps are given, the target is a median error, which half of the points exceed.
+    if above and name == "tolerance":
         text += f"; {above} of {ds.sizes['sample']} points have larger errors, the largest at {names}"
         uncertain = np.fmax(ds["reference_error"].values, ds["reference_error_rates"].values) > target
         if uncertain.any():

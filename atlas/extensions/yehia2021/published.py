@@ -169,9 +169,6 @@ def _largest_residual(entry: Entry, reading: str, rng: np.random.Generator) -> f
     return max(float(np.abs(expression("vanish", text).value(values)).max()) for text in entry["vanish"])
 
 
-# The functions below measure errors that no expression of an entry gives.
-
-
 def _free(rng: np.random.Generator) -> Point:
     """Return a random state of a random body, in which sin theta is not small."""
     rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
@@ -255,7 +252,7 @@ def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Return the error of `rho` at amplitude 0 if the entry has `rho`, else the largest residual of the equation of pitch."""
-    from ..plane.motions import PlaneMotions  # this extension may be missing
+    from ..plane.motions import PlaneMotions  # the extension `plane` may be missing
 
     p = with_values(random_point(rng), entry["plane"])
     motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
@@ -269,7 +266,7 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Return the largest |f^4 - P f^2 + Q| for the frequencies f of the normal form of a random motion. `entry` gives P and Q."""
-    from ..normal_form.nonlinear import NormalForm, derivatives  # this extension may be missing
+    from ..normal_form.nonlinear import NormalForm, derivatives  # the extension `normal_form` may be missing
 
     p = with_values(random_point(rng), entry["normal_form"])
     rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
@@ -288,7 +285,7 @@ def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the distance, in radii of the orbit, of the line along e3 from the orbit's normal through the Earth."""
+    """Return the distance between the line along the satellite's e3 and the orbit's normal through the Earth, in radii of the orbit."""
     psi0 = 0.0 if reading == "printed" else np.pi / 2
     p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
     alpha, gamma = directions(p)

@@ -38,7 +38,7 @@ from .poles import place_of_turn, turns_twice
 CHANGE, FIRST_ROW = 0, 1
 # First integrals are evaluated at every fourth node and at the end only, because they change slowly.
 NODES_PER_CHANGE = 4
-# A relative change of an observable that is not larger than this may be rounding.
+# A relative change of an observable up to this size may be rounding.
 CHANGE_ROUNDING = 1e-14
 
 
@@ -89,7 +89,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights)
             if i >= 2:
                 compare_with_neighbours(sums, nodes, i, spacing)
-            if i >= 3:  # treat the middle one of three intervals, and at an end of the run the outer one too
+            if i >= 3:  # treat the middle interval of nodes i - 3 to i, and at a run's end the outer interval
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     extend_between(sums, nodes, turning, i, interval, spacing)
             if (i + 1) % NODES_PER_CHANGE == 0 or i == intervals:

@@ -41,8 +41,8 @@ class Term(IntEnum):
     """Rows of the result of `pole_terms`. THETA, PSI and PHI are coefficients of 1 / (t - z) in the squares of the rates."""
 
     Z_REAL, Z_IMAG = range(2)  # complex time z of the zero of zeta, relative to the first of the four nodes
-    CHANGE = 2  # squared distance by which the last step moved z
-    SIN2_THETA = 3  # sin^2 theta at the real part of z
+    CHANGE = 2  # squared modulus of the last correction of the zero z
+    SIN2_THETA = 3  # sin^2 theta at the real part of the complex time z
     THETA_REAL, THETA_IMAG, PSI_REAL, PSI_IMAG, PHI_REAL, PHI_IMAG = range(4, 10)
     # Differences between sums and integrals of the rates, see `sum_errors`.
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
@@ -130,8 +130,8 @@ def pole_terms(passages, e, terms, farther):
     product = slope * conjugate
     g3_slope = -0.5 * vertical * product
     a_psi = vertical * (u3_z - a) + 0.5j * g3_slope
-    # With the references subtracted, psi'^2 is R^2 / (t - z)^2 + 2 R a / (t - z) + ... near z. theta'^2 is g3'^2 / |zeta|^2.
-    theta = 0.25 * product
+    # The square of a rate p / (t - z) + q + ... contains 2 p q / (t - z). For psi', p is -g3 R. q is `a` or `a_psi` less the reference.
+    theta = 0.25 * product  # from theta'^2 = g3'^2 / |zeta|^2
     psi = -1j * vertical * (a_psi - passages[Passage.PSI_DOT_REFERENCE, e])
     phi = 1j * (a - passages[Passage.PHI_DOT_REFERENCE, e])
     terms[farther, Term.Z_REAL, e], terms[farther, Term.Z_IMAG, e] = z.real, z.imag

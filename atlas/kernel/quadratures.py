@@ -22,7 +22,7 @@ def integrate(path, constants, duration, first, cylinder, slopes):
 
 
 def euler_rates(motion, cylinder):
-    """Return theta', psi', phi', normal rate, `outside` and theta. `outside` is 1.0, but in the cylinder `outside`, psi' and phi' are 0."""
+    """Return theta', psi', phi', normal rate, `outside` (1.0, or 0.0 in the cylinder, where psi' and phi' become 0) and theta."""
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside, safe_sine = 1.0 * (sine >= cylinder), sine + 1.0 * (sine == 0.0)

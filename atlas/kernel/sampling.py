@@ -27,7 +27,7 @@ LONG = 2 * END
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 # A run has at least three intervals, because the motion is interpolated between four nodes.
 MIN_INTERVALS = 3
-# Approximate distance, in intervals, of the first sample from an end of a run. The node at the end has the weight of this gap.
+# Approximate distance, in intervals, between an end of a run and the nearest sample.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
@@ -53,7 +53,7 @@ def rule_position(i, intervals):
 class Quadrature(NamedTuple):
     """Quadrature rules of runs, indexed by the number of intervals. The last rule is for LONG intervals and more."""
 
-    node_weights: NDArray[np.float64]  # weights by the number of intervals and by the node's `rule_position`
+    node_weights: NDArray[np.float64]  # weights, indexed by number of intervals and by `rule_position`
     # In a run of n intervals, the samples from first_sample[n, i] up to first_sample[n, i + 1] - 1 lie between nodes i and i + 1.
     first_sample: NDArray[np.int64]
     samples: NDArray[np.float64]  # weight of each sample, then the sample's `hermite_weights`, (samples, 9)
@@ -117,7 +117,7 @@ def stretched(start, end):
 
 
 def end_stretch(t):
-    """Return tau - t and its derivative by t at the distance t from the only end of a run. tau is the variable of integration."""
+    """Return the correction of the variable of integration for an end of a run at the distance t, and the correction's derivative by t."""
     x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
     small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
     slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)
@@ -139,7 +139,7 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 class EndWeights(NamedTuple):
     """Corrections of the weights of the trapezoidal rule at the first four nodes, which are mirrored at the end of a run."""
 
-    values: NDArray[np.float64]  # corrections for values, (4,); the first contains -1/2, as ends count half
+    values: NDArray[np.float64]  # corrections for values, (4,); -1/2 in the first makes an end weigh 1/2
     slopes: NDArray[np.float64]  # weights of derivatives, (4,); their signs are opposite at the end of a run
 
 

@@ -12,7 +12,7 @@ from .sampling import MIN_INTERVALS
 from .tableaux import METHODS, Method
 
 MAX_STEPS_PER_SAMPLE = 16
-# With automatic steps, the error of a rate as large as the frequency bound is at most this fraction of the rate tolerance.
+# With automatic steps, neither the local error nor dissipation changes a steady rate by more than this fraction of the rate tolerance.
 RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16  # relative rounding error of the initial state and of each step
 # A run counts as resolved if `step_ratio` and `dissipation_error` do not exceed these limits.
@@ -51,7 +51,7 @@ class StepSizes:
     # Phase error (rad) and relative loss of amplitude that an oscillation at the frequency bound has at the end of the run.
     dispersion_error: NDArray[np.float64]
     dissipation_error: NDArray[np.float64]
-    # Expected variation that step errors cause in a steady rate as large as the frequency bound, in rad per time unit.
+    # Expected variation that step errors cause in a steady rate equal to the frequency bound, in rad per time unit.
     rate_error: NDArray[np.float64]
     # Number of periods in the run, or 0 for a system without strobed observables. All periods have equally many nodes.
     periods: NDArray[np.int64]
@@ -70,7 +70,7 @@ class StepSizes:
 
         No step is longer than `step` or, if `step` is None, than `settings.step`. If both are None, the steps are automatic. The
         phase error of an oscillation at the bound then stays within `settings.tolerance`, and neither the loss of amplitude nor
-        the local error changes a steady rate as large as the bound by more than RATE_ERROR_BUDGET times the rate tolerance.
+        the local error changes a steady rate equal to the bound by more than RATE_ERROR_BUDGET times the rate tolerance.
         The number of steps before rounding up never exceeds `settings.max_steps`, even if errors become larger. A point without
         a finite bound gets the fewest steps and an infinite step ratio.
         """
@@ -120,7 +120,7 @@ class StepSizes:
         )
 
     def after(self, transient: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
-        """Return step sizes of runs that are divided into a transient and a duration. The errors are those of the whole runs."""
+        """Return step sizes of runs that are divided into a transient and a duration. The expected errors stay those of the whole runs."""
         has = transient > 0
         intervals = np.ceil(self.intervals * duration / (transient + duration) - 1e-9).astype(np.int64)
         steps = np.maximum(intervals, 2 * MIN_INTERVALS) * self.steps_per_sample

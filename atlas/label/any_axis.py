@@ -59,7 +59,7 @@ def _circle(
     """
     s, m, fixed, n = axes
     vertical = frame_motion(system, points)[1]
-    # A single rotation counts as a rotation about a body axis. The axis fixed in the frame is then arbitrary.
+    # If the rate m or n is 0, the motion counts as a rotation about a body axis. The axis fixed in the frame is then arbitrary.
     single, turning = (n == 0) | (m == 0), frame_rate != 0
     s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
     n = np.where(single, 0.0, n)
@@ -67,7 +67,7 @@ def _circle(
     rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
     sine = length(cross(s, np.where(turning & single, vertical, fixed)))
     zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
-    # In the duration T the angular velocity covers an arc of the angle m T. `arc` is the standard deviation on a circle of radius 1.
+    # In the duration T the angular velocity covers an arc of the angle m T. `arc` is the standard deviation of such an arc of radius 1.
     arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
     return {
         "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,

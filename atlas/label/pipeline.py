@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The error of one point in POINTS_PER_HALF_STEP is measured if check_half_step = "sample".
 POINTS_PER_HALF_STEP = 64
-# Accepted relative change of a statistic between runs with two step sizes. An error that the runs share may be ten times larger.
+# Accepted relative change of a statistic between runs with two step sizes. An error common to both runs may be ten times this change.
 LARGEST_CHANGE = 0.01
 
 
@@ -102,7 +102,7 @@ def label_status(
     step_sensitive: Mask | bool = False,
     rounding_decides: Mask | bool = False,
 ) -> Flags:
-    """Return the status of each computed point, the first in the order of `flags.Status` whose condition holds.
+    """Return the first problem of each computed point in the order of `flags.Status`, or OK if the point has no problem.
 
     `rounding_growth` is the logarithm of the growth of rounding errors. `step_sensitive` is true where the step size decides a
     label or a statistic (see `_recheck` and `_step_decides`). For `rounding_decides` see `Run`.

@@ -192,7 +192,7 @@ class _Labels:
     outputs: Sequence[str]  # names of the returned variables
     names: Sequence[str]  # names of the parameters
     size: int  # number of points in all chunks
-    duration: Duration | None  # replaces the durations in the last array, if given
+    duration: Duration | None  # duration from a text, or None if the durations in the arguments are used
     transient: Duration
     threads: int | None
     progress: bool

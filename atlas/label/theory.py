@@ -42,7 +42,7 @@ from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
-# If halving the step changes the rms of theta' by more than this fraction, errors decide how a motion leaves an unstable motion.
+# If halving the step changes the rms of theta' by more than this fraction, integration errors decide how the run leaves an unstable motion.
 HALF_STEP_RTOL = 0.05
 # `_statistics` samples a motion at _SAMPLES times. The error of a statistic is _SAMPLING_ERROR times the spread of the samples.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
@@ -162,7 +162,7 @@ class Theory:
 
     prediction: Prediction
     rounding_growth: Array  # log_growth where the start is exact to within rounding, else 0
-    growth_about_vertical: Array  # log_growth of the angle about a third axis that stays exactly vertical
+    growth_about_vertical: Array  # log_growth of the angle about the third axis while the axis is vertical
     unstable: Mask  # whether the start lies, to within rounding, on an unstable exact motion
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
     unknown_growth: Mask  # whether the growth is unknown because the family's extension is not installed
@@ -208,13 +208,13 @@ class Theory:
         residual = self.prediction.start_residual
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
         growth = np.where(sine == 0.0, least, self.rounding_growth)
-        measured = np.log(sine / np.fmax(residual, ROUNDING))  # growth of a tilt from this residual
+        measured = np.log(sine / np.fmax(residual, ROUNDING))  # growth from the start's residual to the tilt
         growth = np.where(self.unknown_growth, measured, growth)
         tolerances = run.settings.tolerances
         return growth, rounding_limit(residual, run.bound, tolerances.rate, tolerances.angle)
 
     def departed(self, run: Run) -> Mask:
-        """Whether a motion drifts and may have left an unstable motion because of integration errors."""
+        """Whether a run drifts and may have left an unstable motion because of integration errors."""
         kinds = run.labels()
         kind = np.where(
             self.prediction.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"]
@@ -224,7 +224,7 @@ class Theory:
 
 
 def departure_changes(run: Run, fine: Run) -> Mask | bool:
-    """Whether halving the step changes how a motion leaves an unstable motion."""
+    """Whether halving the step changes how a run leaves an unstable motion."""
     rms, fine_rms = (each.measured.get("theta_dot_rms", np.zeros(1)) for each in (run, fine))
     return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 

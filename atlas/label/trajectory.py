@@ -366,7 +366,7 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi in short steps to `turns`. Return the states before and after each long step, and the motion's index."""
+        """Add changes of psi and phi in short steps to `turns`. For long steps, return states before and after, and the motion's index."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)

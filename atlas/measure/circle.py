@@ -32,7 +32,7 @@ from .rates import existing, relative_error, steady_label
 from .rates import label as label_of_third_axis
 
 # Time step of the finite differences at the start, multiplied by the frequency bound. On a circle the error of the second derivative
-# lies in the plane of the circle.
+# lies in the plane of the circle, so that the normal of this plane has no error.
 DIFFERENCE_TIME = 1e-2
 # Number of sweeps of Jacobi's method for the eigenvectors of a symmetric 3 x 3 matrix. The method converges quadratically.
 SWEEPS = 6
@@ -41,7 +41,7 @@ SWEEPS = 6
 class Axis(IntEnum):
     """Rows of the constants of a point in one frame. They hold the axes x, y, z in the body and the motion at the start."""
 
-    # A rotation about the vertical at FRAME_RATE is added to the angular velocity. X, Y and Z are the components of the axes.
+    # A rotation about the vertical at FRAME_RATE is added to the angular velocity. X1 to X3 are the components of the axis x in the body.
     FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)
     # Components along x, y, z of the angular velocity (START), its derivative (SLOPE) and the vertical, and |derivative|^2 (SPEED).
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
@@ -104,7 +104,7 @@ def circle_axes(
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
         u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
         du = np.where(np.isfinite(du), du, 0.0)  # a run that overflows is not resolved
-        # u' = m u x s and u'' = m u' x s give u'' x u' = m |u'|^2 s, which is the direction of z. Where u'' x u' is 0, z is arbitrary.
+        # On a circle about s, u' = m u x s and u'' = m u' x s. z has the direction of u'' x u' = m |u'|^2 s, or any if u'' x u' is 0.
         direction = cross(ddu, du)
         size = np.sqrt(dot(direction, direction))
         exists = np.isfinite(size) & (size > 0)

@@ -119,7 +119,7 @@ class Rule:
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """Return `measured`, or a copy in which measurements that may be mere rounding have the values at rest."""
+        """Return `measured`, or a copy with 0 for measurements that may be mere rounding. A mean becomes minus the rate in `means`."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
@@ -320,7 +320,7 @@ class Instrument:
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return expected errors of measurements that decide labels, from the largest `relative_error` of this and earlier instruments."""
+        """Return expected errors of measurements that decide labels. `relative` is the largest `relative_error` up to this instrument."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:

@@ -81,7 +81,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(shares))
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Return the largest error of a statistic divided by the largest magnitude of the observable."""
+        """Divide the error of each statistic by the largest magnitude of its observable, and return the largest quotient."""
         shares = [
             errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
             for name, size in sizes(system, measured).items()
@@ -183,7 +183,7 @@ class Observables(MainInstrument):
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
-        """Return the largest difference of a statistic over the observable's size. Except for extremes, `order` divides the quotient."""
+        """Return the largest change of a statistic relative to the observable's size. `order` divides all changes but those of extremes."""
         changes = []
         for name, size in sizes(run.system, run.measured).items():
             for suffix in STATISTICS:

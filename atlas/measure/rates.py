@@ -155,13 +155,13 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Two nodes may lie on the wrong side of the cylinder's rim, or one node in each oscillation if nodes and motion are in resonance.
+        # The number of nodes outside the cylinder may be wrong by 2, or by 1 in each oscillation if nodes and motion are in resonance.
         missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return rounding errors for rates equal to the frequency bound. Errors of psi' and phi' are divided by sin(theta)."""
+        """Return rounding errors. The error of a rate is `relative` times the frequency bound, for psi' and phi' divided by sin(theta)."""
         size = run.bound * relative
         of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
         names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
@@ -187,7 +187,7 @@ class Rates(MainInstrument):
 
         The error of the states follows from the difference of the final states and the order of the method. Statistics converge at no
         clear order. The difference of a statistic counts as the error, but at least 0.3 of the error that follows from the states,
-        because two runs may agree by chance. Where the second run is not resolved, `expected` counts if it is larger.
+        because two runs may agree by chance. If the run `coarse` is not resolved, the result is at least `expected`.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):
@@ -302,8 +302,8 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
     """Return the relative error of states and statistics, from the error of the states.
 
     Interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is at least 1
-    where the third axis passed through the cylinder. A run that starts in the cylinder has nodes close to the start, which show how
-    the axis leaves, unless the axis is so slow that its path turns much between two nodes.
+    where the third axis passed through the cylinder. If a run starts in the cylinder, nodes close to the start show how the axis
+    leaves, and the error is smaller. The path of a slow axis may turn much between two nodes, which makes the error larger again.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)

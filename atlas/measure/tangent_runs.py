@@ -30,8 +30,8 @@ MAX_STEPS_PER_NODE = 1000
 MAX_RADIANS_PER_STEP = 0.3
 # Largest relative loss of amplitude by numerical dissipation during a run. A loss of amplitude lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
-# A tangent run for the growth alone must follow the main run only until the error of the main run reaches some per cent. The step is
-# GROWTH_STEP times the step at which rk8 has the main run's error. Step times bound is at most MAX_RADIANS_FOR_GROWTH (rad).
+# A tangent run for the growth alone must agree with the main run only until the main run's error reaches some per cent. The step is
+# GROWTH_STEP h if rk8 with the step h has the main run's error, but at most MAX_RADIANS_FOR_GROWTH / (frequency bound).
 GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
 # Run time of a step with a tangent vector, divided by the run time of a step with statistics. See bench_engine.py.
 RELATIVE_COST = 1.5
@@ -40,9 +40,9 @@ RELATIVE_COST = 1.5
 # by the factor d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix
 # and cause the growth. Falls of 14 to 22 were then measured. Along chaotic motions falls were at most 7.
 MAX_DRAWDOWN = 10.0
-# Bound of the growth of L in a passage at a distance d > 1e-8 from an unstable motion. Theory gives ln(1/d^2) < 37. Runs gave up to 39.
+# Bound of the growth of L (see MAX_DRAWDOWN) near an unstable motion, at d > 1e-8. Theory gives about ln(1/d^2) < 37, and runs up to 39.
 MAX_PASSAGE_GROWTH = 50.0
-# Limits of mean MEGNO. In regular motions MEGNO tends to 2 or less. In chaos MEGNO grows like half of L, which MAX_DRAWDOWN explains.
+# Limits of mean MEGNO. In regular motions MEGNO tends to 2 or less. In chaos MEGNO grows like L / 2. For L see MAX_DRAWDOWN.
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
 # A chaotic run ends when L (see MAX_DRAWDOWN) falls by MAX_DRAWDOWN or reaches MAX_PASSAGE_GROWTH, or after this many durations.
 MAX_DURATIONS = 16
@@ -252,10 +252,10 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        # Errors can decide how a motion leaves an unstable motion only after a tangent vector has grown.
+        # Errors can decide how a run leaves an unstable motion only after a tangent vector has grown.
         highest, drawdown = separation.sums[tangent.Growth.HIGHEST], separation.sums[tangent.Growth.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
-        # Chaos is certain where the growth of a vector exceeds the bound for one passage near an unstable motion. Other runs go on.
+        # Chaos is certain where `log_growth` exceeds MAX_PASSAGE_GROWTH. Until then runs with the flag CHAOTIC go on (see MAX_DURATIONS).
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
         log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view of the sums, like `drawdown`

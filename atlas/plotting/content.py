@@ -39,7 +39,7 @@ INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
 # Lines with a `crowding` above CROWDED have no halo. Lines are sampled at a spacing SAMPLING. A line that meets a cell again after
 # more than the length RETURN counts as crossing the cell twice. The unit of SAMPLING and RETURN is the side of a cell.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
-# Theory draws the borders of labels on maps of these flag variables.
+# Maps of these flag variables show the predicted borders between labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
 Lines = Mapping[str, list[np.ndarray]]
@@ -101,7 +101,7 @@ def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
     order = np.lexsort([along, *cell])
     same = (np.diff(np.array(cell)[:, order]) == 0).all(0)
     returns = np.r_[False, same & (np.diff(along[order]) > RETURN)]
-    first = np.cumsum(~np.r_[False, same])[returns]  # indices of the cells
+    first = np.cumsum(~np.r_[False, same])[returns]  # index of the cell of each return
     return float(np.unique(first).size / (1 + (~same).sum()))
 
 
@@ -136,7 +136,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     of_motions = name.removesuffix("_inertial") in MOTIONS
     of_runs = of_motions and not name.startswith("predicted")
     if scene.nudge and of_runs and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
-        # Motions that are unstable by theory have stayed steady, because the run ended before the nudge grew.
+        # `slow` marks motions that are unstable by theory but stayed steady, because the run ended before the nudge grew.
         label = ds["label"].values
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
@@ -188,7 +188,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     else:
         missing = ~np.isfinite(array.values)
     if "computed" in ds:
-        missing &= ds["computed"].values == 1  # other cells show the nearest point
+        missing &= ds["computed"].values == 1  # a cell without a run shows the nearest integrated point
     reasons = np.full(array.shape, "", object)
     run = next((each for each in ("label", "status") if each in ds), None)  # the flag 0 means no motion
     not_computed = missing & (ds[run].values == Label.NOT_COMPUTED if run else bool(flags))
@@ -207,7 +207,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
         and set(dims) <= set(axes_of(scene))
         and without_motion.any()
     ):
-        # A white cell belongs to a tile that is not computed yet if the scene has a motion there.
+        # If the scene has a motion at a white cell, the cell belongs to a tile that is not computed yet.
         grids = np.broadcast_arrays(*np.meshgrid(*[ds[dim].values for dim in dims[::-1]], indexing="ij"))
         columns = {dim: grid[without_motion] for dim, grid in zip(dims[::-1], grids, strict=True)}
         try:

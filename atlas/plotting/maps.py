@@ -309,7 +309,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     """Return x and y of a scatter map, by default the coordinates with most distinct values. Raise BadInput if fewer than two vary."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
     check_axes(allowed, "a number given at each of these points", x=x, y=y)
-    varied_by_scene: set[str] = set()  # parameters with a range or a column, not a formula
+    varied_by_scene: set[str] = set()  # parameters for which the scene gives a range or a column
     if (scene := scene_of(ds)) is not None:
         points = scene.points or {}
         varied_by_scene = {*axes_of(scene), *points.get("ranges", {}), *points.get("values", {})}
@@ -327,7 +327,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels row by row with one legend."""
     check_options(views, options)
-    # If there is no title, the legend names a single flag variable. Otherwise panels name flag variables. Axes or bars name numbers.
+    # The legend names the flag variable if there is only one, and there is no title or `ax` is given. Else panels name flag variables.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):

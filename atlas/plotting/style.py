@@ -127,7 +127,7 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
-    # Both maps begin beyond the light end, because the first flag is white. The second map has more distinct colours.
+    # The first flag is white and uses no shade, so its shade may lie beyond the light end of the map. Magma has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
@@ -161,7 +161,7 @@ def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
     kind = path.suffix.lower()[1:]
     # The file has no date, so that the same atlas gives the same bytes.
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-    content = io.BytesIO()  # Matplotlib raises odd errors where it cannot write a file
+    content = io.BytesIO()  # Matplotlib would raise odd errors for a file that cannot be written
     with rc_context(STYLE):
         figure.savefig(content, format=kind, metadata=undated, dpi=dpi or STYLE["savefig.dpi"])
     with atomic_write(path) as temporary:
@@ -233,7 +233,7 @@ def wrapped(text: str, width: float, size: float, dpi: float) -> str:
         """Whether a line fits by every way of measuring. The widths of words outside formulas are summed."""
         is_math = is_math_text(line)
         if is_math and 25.4 * len(line) * size / 72 <= width:
-            return True  # measuring is slow, and a formula draws fewer letters than its text has
+            return True  # The line fits, because formulas draw fewer letters than their texts have. Measuring would be slow.
         parts = [line] if is_math else re.findall(r" ?[^ ]+", line)
         return bool(25.4 * np.sum([widths(part) for part in parts], axis=0).max() <= width)
 
@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Return the label of a variable, made of words or a symbol, the word theory if `theory`, the unit, and texts of scalar coordinates."""
+    """Return the label of a variable. The label has words or a symbol, "theory" if `theory` is true, the unit, and texts of coordinates."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = WORDS.get(name, name.replace("_", " "))

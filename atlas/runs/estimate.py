@@ -157,7 +157,7 @@ def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """Return time and memory of the largest job, and SLURM options for twice as much. The cost `expected` is for `measured` processors."""
+    """Return time and memory of the largest job, and SLURM options for double amounts. `expected` is the cost on `measured` processors."""
     tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)
@@ -209,7 +209,8 @@ def check_memory(scene: Scene) -> None:
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     """Return the bytes that a number of points with values take on the disk after compression."""
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # `cost` excludes `derived`
+    # `cost` was measured without derived variables.
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 
@@ -249,7 +250,7 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
         schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
         work = plan.mean_work / plan.mean_steps * schedule.point_steps
         fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
-        if fraction > 0.8:  # close enough, because numbers of steps are rounded
+        if fraction > 0.8:  # The fraction 1 may never be reached, because numbers of steps are rounded.
             return plan
         # Both duration and max_steps are shortened, because a number of steps that max_steps limits does not depend on the duration.
         settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))

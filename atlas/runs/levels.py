@@ -34,7 +34,7 @@ POINTS = "points.tile"
 # Flags whose boundaries are traced, without those of extensions. All but the label are traced only if they are outputs.
 MEASURED = (*LABELS, "geometry", "status", "regularity")
 MAX_VALUES = 32  # largest number of different values of an integer variable without flags
-TILES_PER_LEVEL = 64  # number of tiles of a level with enough points, so that many processes share the work
+TILES_PER_LEVEL = 64  # least number of tiles of a large level, so that many processes share the work
 # Ascending flat indices of points in the finest grid, and the variables at the points.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
 

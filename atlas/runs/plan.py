@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # A warning is given if a run is shorter than MIN_ORBITS revolutions of the frame, because it would miss much of the chaos. If the
 # frame does not turn, the limit is MIN_PERIODS periods of the frequency bound.
 MIN_ORBITS, MIN_PERIODS = 80, 400
-MAX_PREDICTED = 400  # largest number of sample points whose motion theory predicts before a run
+MAX_PREDICTED = 400  # Before a run, theory predicts the motions of at most this many sample points.
 LONG = 2 * 3600.0  # A run that is expected to take more seconds than this announces the expected time.
 COSTLY_SHARE = 0.3  # A warning is given if 1 % of the points take a larger fraction of all steps.
 

@@ -264,7 +264,7 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
             yield np.zeros(scene.shape, kind)
             continue
         with tempfile.TemporaryFile(dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):  # a write to the map on a full disk would kill the process
+            if hasattr(os, "posix_fallocate"):  # on a full disk, a write to mapped memory kills the process
                 os.posix_fallocate(file.fileno(), 0, scene.size * np.dtype(kind).itemsize)
             yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 

@@ -295,7 +295,7 @@ class RunFolder:
         computed = totals.points - totals.reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
         attributes |= dataset.history_text(totals.reused)
-        # A refined run can be read only when all levels are complete, so no tile is missing.
+        # A refined run can be read only when all levels are complete, so that `totals` counts every tile.
         tiles = self.tiling.count if self.scene.refine is None else totals.by.total()
         shares = [f"{number} by {by}" for by, number in sorted(totals.by.items())]
         attributes["atlas_run"] = "; ".join([f"{totals.by.total()} of {tiles} tiles", *shares])

@@ -1,4 +1,4 @@
-"""Random numbers in ties. A number depends only on the arguments of a draw, and not on tiles, threads or the order of points."""
+"""Random numbers in formulas of scenes. A number depends only on the arguments of a draw, and not on tiles, threads or order of points."""
 
 from __future__ import annotations
 

@@ -359,7 +359,7 @@ def count_lines(counts: np.ndarray, system: System, family: str | None, duration
 
 
 def sentence(reason: Reason, system: System, family: str | None, duration: Duration) -> str:
-    """Return the reason why a point is not computed as text. `family` and `duration` are those of the scene."""
+    """Return a text that says why a point is not computed. `family` and `duration` are those of the scene."""
     return {
         Reason.NONE: "computed",
         Reason.NO_VALUE: "a tie has no finite value",
@@ -386,7 +386,7 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, whole: bool = True) -> list[str]:
     """Return warnings about rate tolerances and durations that are unusual for the natural rates of the points.
 
-    `whole` says that the points are all computed points of the scene, not a sample.
+    `whole` is true if `points` contains every computed point of the scene, and false if `points` is a sample.
     """
     if type(system).natural_rate is System.natural_rate or set(LABELS).isdisjoint(outputs):
         return []

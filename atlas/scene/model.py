@@ -25,7 +25,7 @@ SCHEMA = 1
 # Largest allowed `max_steps`. No practical run needs more, and sums over many runs fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
-DEFAULT_ANGLE = 1e-5  # default cylinder tolerance in rad, if the rate tolerance is arithmetic
+DEFAULT_ANGLE = 1e-5  # default cylinder tolerance in rad, if the rate tolerance is a formula
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
 # The repr of a scene lists at most this many axes, parameters or ties.
@@ -121,7 +121,7 @@ class Axis:
 
     @property
     def dim(self) -> str:
-        """Name of the dimension of the atlas."""
+        """Name of the axis as a dimension of the atlas."""
         return f"{self.name}_offset" if self.offset_from_family else self.name
 
     @property

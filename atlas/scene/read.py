@@ -459,7 +459,7 @@ def _check_ties(
     *,
     is_refined: bool,
 ) -> None:
-    """Raise BadInput if a tie uses a solved parameter, an offset axis is not solved, or random numbers depend on a refined axis."""
+    """Raise BadInput if a tie uses a solved parameter, an unsolved parameter has offsets, or random numbers depend on a refined axis."""
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(

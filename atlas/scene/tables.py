@@ -87,7 +87,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         check_name(str(labels.name), labels, {*parameters} - {*values})
         numbers_rows = labels.name is None and np.array_equal(labels, range(len(labels)))
         return values if numbers_rows else {POINT: np.asarray(labels)} | values
-    if of_pandas and hasattr(source, "to_dict"):  # a row; entries that name the point are left out
+    if of_pandas and hasattr(source, "to_dict"):  # a DataFrame's row; texts and identifiers are left out
         row = {str(name): value for name, value in source.to_dict().items()}
         naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - names
         _check_others(parameters, {name: row[name] for name in naming}, row, keep)
@@ -199,7 +199,7 @@ def _check_others(
 def parameter_arrays(
     system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **others: Any
 ) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
-    """Return names of the parameters in a table, aligned float64 arrays of them and of `others`, and columns that name points."""
+    """Return the names of parameters in a table, aligned float64 arrays (parameters, then `others`), and the columns that name points."""
     import xarray as xr
 
     name_columns = kept_columns(system, columns, keep)

@@ -33,7 +33,7 @@ _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)
 def open_text(path: Path | None) -> Iterator[TextIO]:
     """Open a file in UTF-8, or standard input if `path` is None. Raise BadInput if the file cannot be opened or read."""
     name = path or "standard input"
-    if path is None and sys.__stdin__ is None:  # File descriptor 0 may belong to another file.
+    if path is None and sys.__stdin__ is None:  # Standard input is closed. Descriptor 0 may be another file.
         raise BadInput(f"{name}: is closed")
     try:
         with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:

@@ -136,7 +136,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
     edges = [np.cumsum([0, *along]) for along in lengths]
 
-    def chunk(block_id: Any = None) -> np.ndarray:  # not block_info, which dask makes for all blocks at once
+    def chunk(block_id: Any = None) -> np.ndarray:  # With block_info, dask would describe all blocks at once.
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))

@@ -91,7 +91,7 @@ def is_store(path: Path | str) -> bool:
 
 
 def is_finished(path: Path | str) -> bool:
-    """Whether a path or address from `located` is a finished atlas, which is a file or a store of any name, and not a run."""
+    """Whether a path or address from `located` is a finished atlas and not a run. The atlas is a file, or a store of any name."""
     return (isinstance(path, Path) and path.is_file()) or METADATA in place_at(path).names()
 
 

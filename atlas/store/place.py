@@ -71,7 +71,7 @@ class Folder:
                 temporary.write_bytes(content)
         except FileExistsError:
             return False
-        except OSError:  # The file system has no hard links. A killed process may leave an empty file.
+        except OSError:  # Without hard links, the file is written in place. A kill may leave an empty file.
             with suppress(FileExistsError), path.open("xb", buffering=0) as file:
                 try:
                     file.write(content)
@@ -90,7 +90,6 @@ class Folder:
         return path
 
     def make(self) -> None:
-        """Make the folder."""
         self.path.mkdir(exist_ok=True)
 
     def names(self, folder: str = "") -> list[str]:

@@ -29,7 +29,7 @@ AT_WORK, ENDED = "at work", "ended"
 
 @dataclass(eq=False)
 class Progress:
-    """A counter of the points that all threads have finished. The time for compilation of kernels does not reduce the speed."""
+    """A counter of the points that all threads have finished. The reported speed leaves out the time for compilation of kernels."""
 
     points: int
     _: KW_ONLY

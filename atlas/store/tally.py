@@ -23,7 +23,7 @@ class Tally:
 
     def __init__(self) -> None:
         # `counts` maps each variable to numbers of points by flag, and each group in GROUPS to numbers of points by bin of errors.
-        # `largest` has the largest integral_drift and largest error of each group. "unstable" and "others" divide all groups by stability.
+        # `largest` has the largest integral_drift, and the largest errors of each group and of unstable and other points of all groups.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod

@@ -127,7 +127,7 @@ class Tiles:
     def read(
         self, tile: int, names: Collection[str] | None = None
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Return the header and variables, by default all, of a tile. Raise FileNotFoundError or DamagedTile if this fails."""
+        """Return the header of a tile and the variables `names`, by default all. Raise FileNotFoundError or DamagedTile if this fails."""
         types = self.types if names is None else {name: self.types[name] for name in names}
         size = self.tiling.size_of(tile)
         facts = {"key": self.key, "tile": tile, "points": size}

@@ -283,7 +283,7 @@ class Zarr(Format):
             if claimed > MIN_CLAIM and isinstance(place, Folder):
                 stored = 0
                 for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
-                    if stored * MAX_RATIO >= claimed:  # The files counted so far can hold what is claimed.
+                    if stored * MAX_RATIO >= claimed:  # Compressed, `claimed` bytes may fit into these files.
                         break
                 check_claim(claimed, stored)
             own = _Store.open_group(store, mode="r", consolidated=is_consolidated)

@@ -70,7 +70,7 @@ class TwoAxes(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """A kind of steady motion, which the path of the third axis defines."""
+    """A kind of steady motion. The path of the third axis defines the kind."""
 
     text: str  # description in one sentence
     # Function of measured variables, of a mask of motions on the vertical, and of the largest rate and angle that count as zero.
@@ -94,7 +94,7 @@ class Observable:
     tolerance: float | None = None
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
     # Period of measurement in time units, as a number or as arithmetic of pi and constants of the equations, such as "2*pi/w".
-    # The observable is measured at the start and after each period, and runs last whole periods. None: measured at all times.
+    # The observable is measured at the start and after each period, and runs last whole periods. None means measurement at all times.
     every: str | float | None = None
 
 
@@ -107,7 +107,7 @@ class Condition:
 
 
 # For each name in Family.several, a scene may ask for the solution nearest to a value (inf: the largest). Points then hold the value
-# under NEAR + name. A formula that solves for the parameter also finds the value under the parameter's name.
+# under NEAR + name. If a formula solves for the parameter, the formula gets the value under the parameter's own name as well.
 NEAR = "near "
 
 
@@ -139,7 +139,7 @@ class Family:
     # Axes and rates at points, for a family of motions about other axes than the third axis and the vertical.
     axes: Callable[[Points], TwoAxes] | None = None
     # Function of points and durations. It returns the standard deviation, (points,), of the varying rate of turning about the
-    # third axis, which is vertical. An infinite duration means whole periods. If None, the motion is steady.
+    # third axis, which is vertical. An infinite duration means whole periods. The function is None if motions are steady.
     rate_std: Callable[[Points, Array], Array] | None = None
 
 
@@ -183,7 +183,7 @@ class DerivedVariable:
     comment: str = ""
     # Raises BadInput if the variable is undefined or takes too long at some points and durations.
     check: Callable[[Points, Array], object] = lambda points, duration: None
-    # Sentences by name for int8 flags, in the order of the values 0, 1, 2, ...
+    # Meanings of int8 flags by name, in the order of the values 0, 1, 2, ... The mapping is None if `values` returns no flags.
     flags: Mapping[str, str] | None = None
     from_start: bool = False  # whether values describe the motion from t = 0, which forbids a transient
     # Function for several variables. Variables that share intermediate results have the same function here.
@@ -212,8 +212,8 @@ class StressCase:
     solve: tuple[str, str] | None = None  # family, and the parameter for which the family is solved
     additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to the solved parameters
     may_stay_unresolved: str = ""  # why a point may stay unresolved even with an automatic step
-    # Exact motion of the points, as the name of a class or as a function from a point to the motion. "departure" says that the
-    # additions are tiny offsets from an unstable equilibrium. If empty, theory or the reference integrator gives the true label.
+    # Exact motion of the points, as the name of a class or as a function from a point to the motion. "departure" says that
+    # `additions` are tiny offsets from an unstable equilibrium. If empty, theory or the reference integrator gives the true label.
     truth: str | Callable[[Points], Any] = ""
 
 
@@ -320,7 +320,7 @@ class System(ABC):
         -------
         mapping of every name in ``equations.INTEGRALS`` to an array (points,)
             Lower bound, in units of the integral, of the sum of the magnitudes of its terms. The integral's error is divided by
-            this sum. The bound is nan where the integral is not constant even if its losses are added. The default is 0.
+            this sum. The bound is nan where even the sum of the integral and its accumulated loss varies. The default is 0.
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 

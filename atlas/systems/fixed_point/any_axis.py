@@ -59,7 +59,7 @@ _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
 class Start(motions.Start):
-    """Start of a body about a fixed point. Residuals are in units of the body's least moment."""
+    """Start of a body about a fixed point. Residuals divide torques by the body's least moment of inertia."""
 
     def __init__(self, points: Points):
         self.inertia, self.rotor, self.weight, self.N = bodies(points)
@@ -128,7 +128,7 @@ def section_normals(inertia: Array) -> Array:
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
-    """Return component `i` of base + lambda direction, where lambda makes another component equal to that of `vector`."""
+    """Return component `i` of base + lambda direction. lambda follows from another component of `vector`, where |direction| is largest."""
     magnitudes = np.abs(direction)
     magnitudes[i] = -1.0
     base = np.broadcast_to(base, direction.shape)
@@ -145,7 +145,7 @@ class Lagrange(Start):
         return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)
 
     def torque(self) -> tuple[Array, Array]:
-        """Return the torque without the weight and that of the weight, both divided by the sine of the tilt. On the family they cancel."""
+        """Return the torque of all but the weight, and the weight's torque, over the sine of the tilt. On the family the torques cancel."""
         s, m, g, n = self.axes()
         C = dot(self.inertia * s, s)
         A = 0.5 * (self.inertia.sum(0) - C)
@@ -206,7 +206,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_weight(cls, points: Points) -> Array:
-        """Return the Mg > 0 for which Mg |r_c| is the length of `vertical(axes)`."""
+        """Return Mg > 0 from the length Mg |r_c| of the vector `vertical(axes)`. r_c points to the centre of mass."""
         start = cls(_with_unit_weight(points))
         return length(start.vertical(start.axes())) / length(start.weight)
 
@@ -258,7 +258,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """Return one coordinate of a centre of mass on a normal of a circular section of the ellipsoid of inertia. The sign is kept."""
+        """Return a coordinate of the same sign that puts the centre of mass on a normal to a circular section of the inertia ellipsoid."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])

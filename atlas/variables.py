@@ -50,7 +50,7 @@ def is_measured(system: System, name: str) -> bool:
 
 
 def proofs_of_labels(system: System | None = None) -> dict[str, str]:
-    """Return for each label of one or all systems the variable that is not 0 where the label is proved for every duration."""
+    """Return the variable that proves each label of one or all systems. The variable is not 0 where the label holds for every duration."""
     proofs = {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
     if system is None:
         return proofs

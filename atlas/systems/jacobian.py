@@ -12,7 +12,7 @@ STEP = 1e-30
 # Step in time of central differences, in units of 1 / rate.
 DISTANCE = 1e-3
 # The bound |J^p|^(1/p), p = 2^SQUARINGS, exceeds the spectral radius of random 6 x 6 matrices by 1 % (at most 6 %). If units
-# of states differ by factors of up to 10^6, the excess is 14 % (at most 25 %). With p = 16 it would be 69 % (at most 135 %).
+# of states differ by factors of up to 10^6, the excess is 14 % (at most 25 %). With p = 16 the excess is 69 % (at most 135 %).
 SQUARINGS = 6
 CHUNK = 4096  # number of points whose matrices are in memory together
 

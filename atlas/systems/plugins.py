@@ -76,7 +76,7 @@ def origin(system: System, package: str) -> Origin:
     files = tuple(sorted(paths))
     if files:
         return Origin(package, _hash_of_files(files), files)
-    texts = []  # the code of a system without files, as in a notebook
+    texts = []  # texts that describe a system without files, as in a notebook
     for owner in (*classes, equations):
         for name, value in sorted(vars(owner).items()):
             function = getattr(value, "__func__", value)

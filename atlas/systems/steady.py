@@ -1,4 +1,4 @@
-"""Test whether the theorem of theory/steady.py applies to a system, and study starts on the vertical."""
+"""Test whether the theorem of theory/steady.py applies to a system. Compute the growth about a third axis that is vertical."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from .prediction import find, predict, predict_circle, residual_of
 
 
 class Starts(NamedTuple):
-    """Columns of `Body`, with one entry for each start of a run."""
+    """Arrays of the numbers in `Body`. The last index of an array counts the starts of a run."""
 
     states: Array  # (states, points)
     constants: Array  # (constants, points)

@@ -16,9 +16,9 @@ class Motion(NamedTuple):
     """A motion u = n nu + m s about the axis s at rest in the body and the axis nu at rest in the frame."""
 
     s: Vector  # unit vector of the axis at rest in the body
-    m: float  # rate about s, rad per time unit
+    m: float  # rate about the axis at rest in the body, rad per time unit
     nu: Vector  # unit vector of the axis at rest in the frame, at the start
-    n: float  # rate about nu, rad per time unit
+    n: float  # rate about the axis at rest in the frame, rad per time unit
 
 
 class Body(NamedTuple):
@@ -40,7 +40,7 @@ class Start(NamedTuple):
     vectors: tuple[Vector, ...]  # vectors at rest in the frame
     slip: float  # sum over the vectors v of |v' - v x u|, with u below; 0 if all v are at rest in the frame
     u: Vector  # angular velocity relative to the frame
-    frame: Vector  # angular velocity of the frame, w - u
+    frame: Vector  # angular velocity of the frame, which is the field w minus the field u
     slope: Vector  # derivative of the angular velocity w
     acceleration: Vector  # derivative of the relative angular velocity u
     vertical: Vector  # vertical of the frame
@@ -54,7 +54,7 @@ class SteadyTest(NamedTuple):
     may_be_member: Value  # whether the start may be on a family
     kept: Value  # whether the nudged start is a steady motion as exactly as rounding allows
     pushed: Value  # whether the nudge of start values moved the start off the motions about the third axis and the vertical
-    residual: Value  # residual of the nudged start as a steady motion about the third axis and the vertical
+    residual: Value  # residual of a steady motion about the third axis and the vertical, at the nudged start
     change: Value  # largest change of the rates of a steady motion by the nudge, in tolerances
     away: Value  # departure of the nudged start from a steady motion, in tolerances
 

@@ -2,13 +2,13 @@
 
 1. Nothing is predicted beyond the range of the formulas.
 2. The equations say whether the start before a nudge is exactly on, near, or far from a steady motion (`steady`).
-3. A start on a family in the plane is exact if it is nudged or if rounding explains the residual, whatever the equations say.
+3. A start on a family with a varying rate about the vertical is exact despite rule 2 if it is nudged or if rounding explains the residual.
 4. A far start drifts, a near start has no label, and an exact start has the label of the exact statistics.
 5. If a nudge leads to no other steady motion, stable motions keep the label, unstable motions drift, and others lose the label.
 6. If a nudge leads far from every steady motion, even a near start drifts. If a nudge changes rates by more than KEPT tolerances,
-   the label is lost. This rule does not hold for motions in the plane and beyond the range.
-7. If a motion in the plane drifts, growth does not change the label.
-8. Growth begins at the residual of the equations, but in the plane and about other axes at the residual of the family.
+   the label is lost. This rule does not hold for motions with a varying rate and beyond the range.
+7. If a motion with a varying rate drifts, growth does not change the label.
+8. Growth begins at the residual of the equations, or of the family if the rate varies or the motion is about other axes.
 9. Without a nudge, an exact start whose residual grows beyond the tolerances becomes near and loses any label but drifting.
 10. Labels about any axes follow from the answer after rules 3 and 9.
 
@@ -26,7 +26,7 @@ from .generated import derivatives, frame_motion, frame_motion_change
 from .point import StartLabels, SteadyTest, fmax, larger, length, minus, over, scaled, smaller
 from .steady import FAR, Existence, departure, exact_motion, motion_about_third, start_on_axis, steady_motion
 
-# Rounding explains a dimensionless residual of a steady motion up to this value, and changes larger ones by less than 1 %.
+# Dimensionless residuals of steady motions up to this value count as rounding errors. Actual errors are below 1 % of this value.
 ROUNDING_RESIDUAL = 1e-13
 # A start with a larger residual is on no family of motions about the third axis and the vertical.
 NEARBY = 1e-6
@@ -86,8 +86,8 @@ def residual_of(body):
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
     """Return the largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
 
-    The departure is a lower bound of the oscillation of rates. The oscillation of psi' may be 1 / sin(theta) times as large. If e3 is
-    within `angle_tolerance` of the vertical, the change of the angular velocity is returned. The argument `start` belongs to `after`.
+    The departure is a lower bound of the oscillation of rates. The largest change is departure / sin(theta), which psi' may reach, or
+    the change of the angular velocity if e3 is within `angle_tolerance` of the vertical. The argument `start` belongs to `after`.
     """
     motion = motion_about_third(start, after.rates)
     away = departure(start, after.constants, motion, after.bound, duration, rate_tolerance, angle_tolerance)
@@ -140,14 +140,14 @@ def label_of(test, membership, answer, exact, nudged):
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
     """Return the label of a motion about any two axes by rule 10 of the module docstring.
 
-    If the motion is exact about other axes than the third and the vertical, the label is `exact`, the label of the motion's circle,
-    or follows from `exact` after a nudge. Otherwise the label is `own`, which `predict` returned. If `near` is true, the angular
-    velocity may stay on a circle in the body, and drifting is predicted only for exact motions.
+    The motion's circle has the label `exact`, and `predict` returned the label `own`. If the motion is exact about other axes than
+    the third and the vertical, the result is `exact` or follows from `exact` after a nudge. Otherwise the result is `own`. If `near`
+    is true, the angular velocity may stay on a circle in the body. Drifting is then predicted only for exact motions.
     """
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:
         label = after_nudge(exact, stable) if nudged and not test.kept else exact
-    # A nudge of a stable motion about the third axis may lead to a motion about other axes.
+    # `beside` is false where a nudge of a stable motion about the third axis may lead to a motion about other axes.
     beside = elsewhere or not nudged or stable != Stability.STABLE
     if label != Label.DRIFTING or (answer == Existence.EXACT and beside) or not in_range or not near:
         return label
@@ -162,7 +162,7 @@ def after_nudge(label, stable):
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Return the logarithm of the growth that turns the residual of a steady start, or ROUNDING if larger, into a tolerance.
+    """Return the logarithm of the factor from a residual to the smaller tolerance. A residual below ROUNDING counts as ROUNDING.
 
     Rounding errors of rates are relative to the frequency bound, and rounding errors of angles are relative to 1.
     """

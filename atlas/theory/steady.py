@@ -64,7 +64,7 @@ from .point import (
 # A difference of rates below this fraction of the rates is a rounding error.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
-# Axes from derivatives have errors. Errors below this multiple of rounding errors raise the tolerance of the residual.
+# Axes from derivatives have errors. The tolerance of the residual allows for errors below this multiple of rounding errors.
 MAX_ERROR = 1e4
 # A start is far from every steady motion if the first-order change of rates exceeds this many tolerances. Among 30 000 starts
 # near steady motions, no start with a steady label had a change above 2.4.
@@ -238,7 +238,7 @@ def phases(start, motion):
 
 
 def residual_at(start, constants, motion, alpha, beta):
-    """Return the magnitudes of the residual's components at the phases `alpha` of n t and `beta` of m t, or inf if v' = v x u fails."""
+    """Return magnitudes of the residual's components at phases `alpha` of n t and `beta` of m t, or inf if rates or vectors do not fit."""
     s, m, nu, n = motion
     back, around = (math.cos(alpha), -math.sin(alpha)), (math.cos(beta), -math.sin(beta))
     fixed = rotate(nu, s, around[0], around[1])
@@ -279,7 +279,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
     """
     s, m, g, n = motion
     inside = np.hypot(g[0], g[1]) < angle_tolerance
-    if inside:  # near the vertical, n and m are not unique; with n = 0 the axes are at rest in the frame
+    if inside:  # near the vertical, n and m are not unique; n = 0 is chosen, so that the third axis rests in the frame
         m, n = start.u[2], 0.0
     offset, f = rest_of(start, Motion(s, m, g, n))
     time = fmin(1 / bound, duration)

@@ -23,9 +23,9 @@ CONSTANTS = (
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ()
-# Names of first integrals, which are functions below, each with the exponent of 1 / time in the unit of the integral.
+# A key names a first integral, which is a function below. The value is the exponent of 1 / time in the unit of the integral.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
-# First integrals that damping changes, with the names of the functions below for the loss per time.
+# A key names a first integral that damping changes. The value names the function below that returns the integral's loss per time.
 LOSSES = {"energy": "energy_loss"}
 
 
@@ -62,7 +62,7 @@ def unscaled(state, constants, h):
 
 
 def frame_motion(state, constants):
-    """Return the angular velocity w relative to space and the vertical g. Both are linear in the state."""
+    """Return the angular velocity w relative to space, then the vertical g. These two vectors are linear in the state."""
     p, q, r, g1, g2, g3 = state
     return p, q, r, g1, g2, g3
 

@@ -250,7 +250,7 @@ def frequency_bound(points: Points) -> Array:
     min_inertia = np.where(fixed, A, inertia.min(0))
     max_turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / min_inertia))
 
-    # Where C r + l3 is conserved, r and the perturbation of r are constant, and `own` is exact.
+    # `own` bounds the frequencies of changes of w without torques. Where C r + l3 is conserved, r is constant and this bound is exact.
     own = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, gyration(inertia, rotor, max_rates))
     differences = np.array([C - B, A - C, B - A])
     newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / min_inertia))

@@ -206,7 +206,7 @@ class Body(NamedTuple):
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
-        """Return the matrix (..., 4, 4) of the linear system of `floquet` in the parts of xi and p~ across `u`."""
+        """Return the matrix (..., 4, 4) of the linear equations for a small rotation xi and a momentum p~ in the plane normal to `u`."""
         inertia, W = self.inertia[..., None], cross_matrix(w)
         acceleration = self.turn[..., None] * np.cross(gamma, u)
         E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
@@ -223,7 +223,7 @@ class Body(NamedTuple):
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
-        # With S = `shift` the system is xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~ in the axes `rows`.
+        # Equations of floquet.py with S = `shift`: xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~.
         G = 0.5 * cross_matrix(v) - shift
         transposed = np.swapaxes(rows, -1, -2)
         left = G / self.inertia[..., None]

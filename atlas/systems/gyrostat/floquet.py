@@ -181,12 +181,12 @@ def growth_of_periodic_motion(
     """Return stability and the growth rate log |mu| / period of periodic motions with two reduced degrees of freedom.
 
     The linear system of six equations has four multipliers 1, which belong to a shift in time, the energy and two integrals
-    such as the area integral and the length of the vertical. Both are linear or quadratic in the state. The other multipliers
-    are mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu. The eigenvalue 1 is defective. The trace is
-    therefore accurate where eigenvalues are not. A motion is stable if mu is on the unit circle and not real.
+    such as the area integral and the length of the vertical. These integrals are linear or quadratic in the state. The other
+    multipliers are mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu. The eigenvalue 1 is defective. The trace
+    is therefore accurate where eigenvalues are not. A motion is stable if mu is on the unit circle and not real.
 
-    The function `matrix` of indices of points and times (samples, points) returns matrices (samples, points, 6, 6) of the linear
-    system in three rates and the vertical, with harmonics up to the second. Where `period` is nan, the stability is unknown.
+    The function `matrix` takes indices of points, and times (samples, points). The result (samples, points, 6, 6) is the matrix of
+    the linear system in three rates and the vertical, with harmonics up to the second. Where `period` is nan, stability is unknown.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))

@@ -41,7 +41,7 @@ def about_third_axis(points: Points) -> TwoAxes:
 
 
 def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
-    """Return the motion about a body axis `s` and the vertical, with rates from the part of `w` in the plane of both."""
+    """Return the motion about a body axis `s` and the vertical. The two rates give the part of `w` in the plane of these axes."""
     normal = across(gamma, s)
     n = ratio(dot(w, normal), (normal**2).sum(0))
     return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
@@ -143,7 +143,7 @@ class Equation(Condition):
     residual: Callable[[Points], Array] = field(init=False)
     function: Callable[[Points], Array]
     unit: Callable[[Points], Array] | None = None  # None if `function` is dimensionless and of order 1
-    # `function` divided by a factor that may vanish. This form is solved.
+    # `function` divided by a factor that may vanish. The method `solve` uses this quotient instead of `function`.
     form: Callable[[Points], Array] | None = None
 
     def __post_init__(self) -> None:
@@ -156,12 +156,12 @@ class Equation(Condition):
         object.__setattr__(self, "residual", residual)
 
     def solve(self, *names: str) -> Mapping[str, Solver]:
-        """Return a solver for each of the parameters `names`, in which the equation must be linear."""
+        """Return a solver for each of the parameters `names`. The equation must be linear in each of these parameters."""
         return linear(self.form or self.function, *names)
 
 
 def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
-    """Return a solver of function(points) = 0 for each of the parameters `names`, in which `function` must be linear.
+    """Return a solver of function(points) = 0 for each of the parameters `names`. `function` must be linear in each of these parameters.
 
     Where every value solves the equation, the parameter keeps the given value if `keep` is true, and else becomes nan.
     """

@@ -54,7 +54,7 @@ class Equilibria(NamedTuple):
     alpha: Array  # (points, 3)
     gamma: Array
     rate: Array  # unit of rates, rad per time unit, (points,)
-    # Vertical and axis of symmetry, (points, 3, 2). A column is 0 if turns about it change the energy; one of two equal columns is 0.
+    # Vertical and axis of symmetry, (points, 3, 2). Directions about which turns change the energy are 0. A repeated direction is 0.
     cyclic: Array
     free: Mask  # where nothing acts and gamma is chosen along the angular momentum
 
@@ -62,8 +62,8 @@ class Equilibria(NamedTuple):
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
         """Return the equilibria among motions whose vectors at the start are `w`, `alpha` and `gamma`, (points, 3).
 
-        Where the axis of symmetry is vertical and nothing acts along alpha, the frame rests in space if `from_space` is true.
-        Otherwise the frame turns so that both oscillations of the axis are equally fast and the Hessian of the energy is largest.
+        Where the axis of symmetry is vertical and nothing acts along alpha, the frame rests in space if `from_space` is true. If
+        `from_space` is false, the frame turns so that the two oscillations of the axis are equally fast and the Hessian is largest.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -279,7 +279,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Return the rate of a frame, an axis of symmetry or -1, and whether bodies rest in the frame or turn about this axis in the frame."""
+    """Return the rate of a frame, an axis of symmetry or -1, and whether a body rests in the frame, turns about this axis or is damped."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

@@ -10,7 +10,7 @@ from ..vectors import length, unit
 from .body import Body
 
 PLACES = 12  # largest number of critical directions of a body
-NEARLY = np.int8(-2)  # `dimension` of a direction near which two complex solutions almost coincide
+NEARLY = np.int8(-2)  # mark of a direction near which two complex solutions almost coincide
 
 
 class SecularEquation:
@@ -94,9 +94,9 @@ def critical_directions(
     They are g = -b / (d - L), where L is a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1. One root lies outside each
     end pole, and none or two lie between neighbours. A component with b_i = 0 also allows L = d_i with g_i free.
 
-    From a circle of solutions, the one nearest to the direction `towards` is taken. The array g, (3, 12, points), is nan in
-    unused columns. The second array, (12, points), is the dimension of the set of solutions around each g: 0 for an isolated
-    one, 1 for a circle, 2 for every direction, -1 for an unused column, and NEARLY if `nearly` is true.
+    From a circle of solutions, the solution nearest to the direction `towards` is taken. The array g, (3, 12, points), is nan in unused
+    columns. The second array, (12, points), is the dimension of the set of solutions around each g: 0 for an isolated solution, 1 for
+    a circle, 2 for every direction, -1 for an unused column. If `nearly` is true, NEARLY marks g near two almost equal complex solutions.
     """
     order = np.argsort(d, axis=0, kind="stable")
     d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)

@@ -61,7 +61,7 @@ class Gyrostat(System):
 
     @shared
     def natural_rate(self, points: Points) -> Array:
-        """Return Body.natural_rate, which is the rate of the frame, or else of the fields, or else of start and rotor."""
+        """Return the rate of the frame, or of the fields if the frame is at rest. The rate of the free body replaces a negligible rate."""
         with np.errstate(all="ignore"):
             return self.body(points).natural_rate(self._triples(self.initial_state(points))[0])
 
@@ -148,7 +148,7 @@ class Gyrostat(System):
         return result
 
     def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
-        """Return EnergyStability at fixed momenta, and a mask of bodies with an axis of symmetry for which the value is YES."""
+        """Return EnergyStability at fixed momenta, and a mask that is true where the value is YES and the body has an axis of symmetry."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)

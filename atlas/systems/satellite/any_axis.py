@@ -1,9 +1,9 @@
 """Motions of spherical satellites about any axis of the body and about the normal. The gravity gradient does not turn such bodies.
 
-Let rotor and magnet be along an axis s of the body, without drag and without a field along the radius. The body is then a
-spherical top in the field along the normal g, with w = N g + m s and N (C m + k.s) = h3 mu.s. In the orbital frame the rate
-about the normal is N - Omega. Without rotor and magnet every rotation is permanent in space, with N = 0 and s along w. With a
-rotor alone, other starts precess about the angular momentum, which is at rest in space but not in the orbital frame.
+Let the rotor k and the magnet mu be along an axis s of the body, without drag and without a field along the radius. The body is
+then a spherical top in the field h3 along the normal g, with w = N g + m s and N (C m + k.s) = h3 mu.s. In the orbital frame the
+rate about the normal is N - Omega. Without rotor and magnet every rotation is permanent in space, with N = 0 and s along w. With
+a rotor alone, other starts precess about the angular momentum, which is at rest in space but not in the orbital frame.
 """
 
 from __future__ import annotations

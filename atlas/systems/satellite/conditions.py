@@ -40,7 +40,7 @@ def largest_inertia(p: Points) -> Array:
 
 @shared
 def rate_scale(p: Points) -> Array:
-    """Return the sum of the rates of orbit, magnet and drag, and of the body across and along its third axis."""
+    """Return a unit of rates, which is the sum of the orbital rate, a rate due to magnet and drag, and rates of the body at the start."""
     across, along = p["n"] * np.sin(p["theta0"]), p["n"] * np.cos(p["theta0"]) + p["m"]
     of_fields = np.sqrt(field_torque(p) / largest_inertia(p))
     return np.abs(p["Omega"]) + of_fields + np.abs(across) + np.abs(along) + np.abs(p["theta_dot0"])

@@ -36,9 +36,9 @@ CONSTANTS = (
 OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")
-# Names of first integrals, which are functions below, each with the exponent of 1 / time in the unit of the integral.
+# A key names a first integral, which is a function below. The value is the exponent of 1 / time in the unit of the integral.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
-# First integrals that damping changes, with the names of the functions below for the loss per time.
+# A key names a first integral that damping changes. The value names the function below that returns the integral's loss per time.
 LOSSES = {"jacobi": "jacobi_loss", "axial_momentum": "axial_momentum_loss"}
 
 
@@ -103,7 +103,7 @@ def unscaled(state, constants, h):
 
 
 def frame_motion(state, constants):
-    """Return the angular velocity relative to the orbital frame, w - Omega g, and g. Both are linear in the state."""
+    """Return the angular velocity w - Omega g relative to the orbital frame, then the normal g. These vectors are linear in the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1 * g_inv, g2 * g_inv, g3 * g_inv
@@ -166,7 +166,7 @@ def axial_momentum(state, constants):
     return C * w3, k3
 
 
-# Losses use damping_A alone, so that the balance also tests damping_B and damping_C.
+# Losses are computed from damping_A alone. First integrals then fall at these rates only if damping_B and damping_C are also right.
 
 
 def jacobi_loss(state, constants):

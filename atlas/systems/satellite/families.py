@@ -54,7 +54,7 @@ def nearest_pole(name: str, p: Points) -> Array:
 
 
 def _theta(p: Points) -> Array:
-    """Return the tilt in [0, pi] from k3 and m. Of several, return the nearest to the wanted tilt, or nan if none is wanted."""
+    """Return the tilt in [0, pi] from k3 and m. Of several tilts, return the nearest to a wanted tilt, or nan if no tilt is wanted."""
     sp, cp = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
@@ -109,7 +109,7 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """Return psi0 from OBLIQUE_BALANCE. Without drag3, cos psi0 keeps the sign. With drag3, take the root nearest to the given psi0."""
+    """Return psi0 from OBLIQUE_BALANCE. Without drag3, the sign of cos psi0 stays. With drag3, take the root nearest to the given psi0."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)

@@ -165,8 +165,8 @@ def frequency_bound(points: Points) -> Array:
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
     """Return constants that are 0 without magnet, rotor, orbit, drag or damping, and pairs that are equal by symmetry.
 
-    Each distinct result needs a kernel. To save kernels, some terms stay although they are 0. The term k3, or D3 with damping
-    and no magnet, costs 3 % of the time. The transverse rotor of an asymmetric body with a magnet costs 10 %.
+    Each distinct result needs a kernel. To save kernels, some constants stay although they are 0. The constant k3 costs 3 % of
+    the time, and so does D3 of a symmetric body with damping and no magnet. k1 and k2 of an asymmetric body with a magnet cost 10 %.
     """
     magnet, drag = {"mu1", "mu2", "mu3", "h1", "h3"}, {"drag1", "drag2", "drag3"}
     rows = (

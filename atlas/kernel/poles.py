@@ -112,7 +112,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write the zero z of zeta, Laurent coefficients and errors for passage e into terms[farther]. `passages` holds divided differences."""
+    """Write the zero z of zeta, Laurent coefficients and errors for passage e into row `farther` (0 or 1) of `terms`, from `passages`."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)

@@ -27,7 +27,7 @@ LONG = 2 * END
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 # A run has at least three intervals, because the motion is interpolated between four nodes.
 MIN_INTERVALS = 3
-# Approximate distance, in intervals, between an end of a run and the nearest sample.
+# The sample nearest to an end of a run is placed at about this distance from the end, in intervals.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
@@ -87,7 +87,7 @@ def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float6
     intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
     tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)
-    low, high = np.full(tau.shape, -40.0), np.full(tau.shape, 40.0)  # bounds of log(start / end)
+    low, high = np.full(tau.shape, -40.0), np.full(tau.shape, 40.0)  # bounds of x in `_from_both_ends`
     for _ in range(20):
         middle = 0.5 * (low + high)
         too_low = stretched(*_from_both_ends(middle, intervals))[0] < tau

@@ -61,7 +61,7 @@ class Statistic:
     name: str  # name in the atlas and in the result of `finish`
     unit: str  # UDUNITS spelling
     long_name: str  # meaning, in a few words
-    needs_psi: bool = False  # whether the value is undefined if the third axis stays inside the cylinder
+    needs_psi: bool = False  # whether the value is undefined if the third axis stays near the vertical
 
 
 _RATE = "rad s-1"

@@ -18,11 +18,11 @@ other n : m no two frequencies coincide, and the residual must vanish on the who
 vector is along nu, one phase is left and p or q is 0. Between the nodes the residual is at most 3.6 times the largest value at
 the nodes for d = 2.
 
-A ratio within RATIO of p : q counts as p : q. The torus would give another result only after a time of 1 / (RATIO n).
+A ratio within RATIO of p : q counts as p : q. Runs up to a time of 1 / (RATIO n) cannot tell the ratios apart.
 
-The residual counts as 0 if each component is at most TERM_ROUNDING times the sum of the magnitudes of all terms (the right-hand
-side with every difference replaced by a sum) and of their changes by errors of the states. Fast spins thus do not loosen the
-test. Axes from derivatives have larger errors, because terms of u' cancel.
+The residual counts as 0 if each component is at most TERM_ROUNDING times a sum. The sum has the magnitudes of all terms on the
+right-hand side, and the magnitudes of the changes of the terms by errors of the states. Fast spins thus do not loosen the test.
+Axes computed from derivatives have larger errors, because terms of u' cancel.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
     stiffness = np.minimum(np.where(flat, np.inf, values).min(-1), each.inertia.min(-1) * rate[:, None] ** 2)
     settled = np.where(minimum, potential + 0.5 * SETTLED**2 * stiffness, np.nan)
     axis = solutions.get("axis", np.full(gamma.shape, np.nan))
-    if single:  # the rotor does not act on a body at rest, and may be off the axis of symmetry
+    if single:  # the rotor, which may lie off the axis of symmetry, does not act on a body at rest
         still = body._replace(rotor=np.zeros_like(body.rotor))
         for i in range(3):
             axis[circle & still.symmetric_about(i)[:, None]] = np.eye(3)[i]

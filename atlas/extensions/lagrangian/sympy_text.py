@@ -99,7 +99,7 @@ def function_text(
     named = dict[Expression, Expression]()
     for symbol, part in parts:
         body = text(part.xreplace(named))
-        # sin(a - b) becomes sin_a_minus_b; other operations make no names.
+        # sin(a - b) becomes sin_a_minus_b. Operations other than sums and differences make no names.
         words = body.replace(" - ", "_minus_").replace(" + ", "_plus_").replace("(", "_").rstrip(")")
         speaks = words.isidentifier() and len(words) <= MAX_NAME and words not in used
         named[symbol] = sympy.Symbol(words) if speaks else symbol

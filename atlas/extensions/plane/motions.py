@@ -57,7 +57,7 @@ _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relativ
 _TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
 # Upper limit of the error of a sum, divided by the change of the sum if the longest steps are left out. The largest measured ratio is 0.3.
 _CHANGE = 3.2
-# With R and H of the module's text, R H^-1 R is H^T with exchanged halves of rows and of columns, times these signs.
+# R H^-1 R of the module's text is H^T times these signs, entry by entry, after the halves of rows and those of columns are exchanged.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 

@@ -225,7 +225,7 @@ class FreeGyrostat:
         self.turn = quarters * float(ellipkm1(self.complement)) / self.frequency
 
     def _find_phase(self, w: Array) -> None:
-        """Find the phase of the start. Of w1 and w2, one vanishes at the root s of f. Find the initial sign of the other component."""
+        """Find the phase of the start. If r is the root `self.root`, w1 or w2 is 0. Find the initial sign of the other component."""
         A, B, C = self.inertia
         # The slope gives sn, so that the phase is exact at a turning point of r.
         distance, slope = float(w[2] - self.root), float((A - B) * w[0] * w[1] / C)

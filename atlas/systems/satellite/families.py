@@ -318,7 +318,7 @@ _TABLE = (
         equations="derived from (1)-(3); not in the paper",
         conditions=(the.NO_SPIN, the.SYMMETRY_ABOUT_NORMAL, the.NO_RADIAL_TORQUE, the.NORMAL_ROTOR),
         solve=each(
-            # The rotors k lie on a line along the normal. The line contains the rotor with (n + Omega) k = h3 mu.
+            # The rotors k lie on a line parallel to the orbit normal, through the k with (n + Omega) k = h3 mu (mu: magnetic moment).
             partial(
                 _k_along,
                 lambda p: (ratio(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"], np.nan), directions(p)[1]),

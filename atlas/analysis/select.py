@@ -150,7 +150,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
 
 
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
-    """Return edges midway between n increasing values, (n + 1,). Each outer cell is symmetric about its value."""
+    """Return the edges of cells around increasing values. Inner edges are midway between values, and outer cells are symmetric."""
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
         edges = np.array([v[0] - 0.5, v[0] + 0.5])

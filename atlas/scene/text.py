@@ -1,4 +1,4 @@
-"""Reading of text from files or standard input, and error messages with the line of a scene."""
+"""Text read from files or standard input, and error messages that name the line of a scene."""
 
 from __future__ import annotations
 

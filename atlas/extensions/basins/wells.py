@@ -26,7 +26,7 @@ Places = NDArray[np.int64]
 # Largest angle (rad) of a settled body from its equilibrium, and largest angular velocity in units of `Wells.rate`.
 SETTLED = 1e-3
 _FLAT = 1e-6  # an eigenvalue of a Hessian counts as 0 below this fraction of the largest one at the body's equilibria
-_DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
+_DISPLACED = 1e-2  # a descent begins at this angle from an equilibrium, rad
 _SADDLE = 1e-6  # a descent stops when a saddle or maximum is nearer than this angle, rad
 # Number of steps of a descent between two searches for the nearest equilibrium, and largest number of steps.
 _STEPS, _MAX_STEPS = 16, 4096

@@ -84,7 +84,7 @@ def diagram(
     ----------
     variable : str, optional
         A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
-        the body. For permanent rotations over their rate, gamma gives Staude's arcs. Borders ignore this option.
+        the body. For permanent rotations, gamma over the rate gives Staude's arcs. Borders ignore this option.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into. By default a new figure is made.
     title : str, optional

@@ -28,7 +28,7 @@ class LabelProofs(NamedTuple):
 
 
 def prove_in_space(body, w, gamma, is_axial, tolerances):
-    """Return what can be proved for a body about a fixed point."""
+    """Return the labels that can be proved for a body with a fixed point."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if body.turn != 0:
         return proofs

@@ -205,7 +205,7 @@ def _gradient(body: Sequence[Three], a: Three, g: Three) -> Three:
 
 
 def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three:
-    """Return -H^-1 gradient by Cramer's rule, where H contains the derivatives of the gradient of W."""
+    """Return -H^-1 gradient by Cramer's rule, where H is the Jacobian of `gradient`."""
     inertia, p, r, q = body
     b = _cross(g, a) if np.any(r) else None
     by = {}  # (j, k) -> factors of a_i and g_i in the entry H_ij, where i is the third axis

@@ -54,7 +54,7 @@ _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
 _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
-_TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
+_TOLERANCE = 1e-11  # relative error of expressions that vanish on borders of stability (short steps)
 # Upper limit of the error of a sum, divided by the change of the sum if the longest steps are left out. The largest measured ratio is 0.3.
 _CHANGE = 3.2
 # R H^-1 R of the module's text is H^T times these signs, entry by entry, after the halves of rows and those of columns are exchanged.

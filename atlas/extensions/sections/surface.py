@@ -19,7 +19,7 @@ DIRECTIONS = {"rising": 1, "falling": -1, "either": 0}
 JUMPING = {"psi", "phi"}  # angles that jump by a turn
 OF_FRAME = {"psi", "axis_x", "axis_y"}  # quantities that need `axis_in_frame`
 STEEP = {"theta", "theta_dot", "psi_dot", "phi_dot"}  # quantities that are not smooth on the vertical
-TINY = 1e-300  # keeps rates on the vertical finite
+TINY = 1e-300  # keeps rates finite if the axis is on the vertical
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:

@@ -145,7 +145,7 @@ class Body(NamedTuple):
         return result
 
     def steepness(self) -> Array:
-        """Return a bound of the second derivatives of W under rotations, (...,)."""
+        """Return an upper bound of the second derivatives of the potential W with respect to rotations, (...,)."""
         spread = np.ptp(self.inertia, axis=-1)
         return sum(np.abs(d.gradient) * spread + length(d.field) for d in (*self.amended(), self.beta))
 

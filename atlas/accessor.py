@@ -164,8 +164,8 @@ class Atlas(Questions):
         -------
         Dataset
             `probability`, and the limits `lower` and `upper` of Wilson's 95 % interval for each cell. The dimensions are the
-            other axes and one named like the variable, whose coordinate is the names of the flags. For example,
-            `.sel(label="drifting").atlas.map()` draws the map of a flag. A draw without a motion counts as not_computed.
+            other axes, and a dimension with the name of the variable and the names of flags as coordinate. For example,
+            `.sel(label="drifting").atlas.map()` maps the probability of drifting. A draw without a motion counts as not_computed.
         """
         from .analysis.trust import probability
 
@@ -335,7 +335,7 @@ class Atlas(Questions):
             Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
         view : (float, float)
             Azimuth and elevation of the viewer in degrees. The azimuth is measured from the first axis of the frame towards the
-            second. About a fixed point the third axis points down, and the azimuth is measured from x towards -y.
+            second. About a fixed point the third axis of the frame points down, and the azimuth is measured from x towards -y.
         degrees : bool
             Show angles in degrees.
         width : {"page", "column"} or float

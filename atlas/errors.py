@@ -76,12 +76,12 @@ def shown(value: object) -> str:
 
 
 def allowed_text(value: object, names: Collection[str]) -> str:
-    """Return the end of a message, "did you mean 'tolerance'? allowed: tolerance, step". No question is asked without a similar name."""
+    """Return the end of a message, such as "did you mean 'tolerance'? allowed: tolerance, step". The question needs a similar name."""
     return f"{similar_text(value, names)}allowed: {', '.join(names) or 'none'}"
 
 
 def similar_text(value: object, names: Collection[str]) -> str:
-    """Return the question "did you mean 'tolerance'? " with a blank after it, or an empty text if no name is similar."""
+    """Return a question such as "did you mean 'tolerance'? ", which ends with a blank, or an empty text if no name is similar."""
     if isinstance(value, str) and len(value) <= MAX_TEXT:
         by_lower_case = {name.lower(): name for name in names}
         for similar in difflib.get_close_matches(value.lower(), by_lower_case, 1):

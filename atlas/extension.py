@@ -158,7 +158,7 @@ def available_text(value: object, names: Collection[str]) -> str:
 
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
-    """Return every part of a kind (one of PARTS) by name. Raise BadInput if two parts have one name, except in OF_SYSTEMS."""
+    """Return every part of a kind (one of PARTS) by name. Raise BadInput if two parts share a name, unless `kind` is in OF_SYSTEMS."""
     by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():

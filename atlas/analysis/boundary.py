@@ -114,7 +114,7 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
 
 
 def borders(plane: Plane, variable: str = "label") -> Lines:
-    """Return lines on a plane by the names in KINDS. Kinds that depend on the frame are taken in the frame to which `variable` belongs."""
+    """Return the lines of theory on a plane, by the names in KINDS. Lines that depend on the frame are those in the frame of `variable`."""
     lines = cached_lines(lambda: theory_borders(plane), plane)
     frame = IN_SPACE if variable.endswith("_inertial") else ""
     names = {name: name + frame * kind.of_frame for name, kind in KINDS.items()}
@@ -125,7 +125,7 @@ class Kind(NamedTuple):
     """A kind of border."""
 
     # The function takes predictions, a frame and whether motions are nudged, and returns the class of each point. Lines separate
-    # class 1 from class 2, and points of class 0 have no lines.
+    # points of class 1 from points of class 2, and stop at points of class 0.
     classes: Callable[[Predictions, str, bool], np.ndarray]
     of_frame: bool = True  # whether the line depends on the frame
     rate: str = ""  # the rate that is 0 on the line, "n" or "m"
@@ -137,7 +137,7 @@ def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
 
 
 def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
-    """Return 1 for a regular precession with a negative rate, 2 for one with another rate, 0 for other and for nudged unstable motions."""
+    """Return 1 for regular precessions with a negative `rate`, 2 for other regular precessions, else 0. Nudged unstable motions have 0."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 
@@ -166,7 +166,7 @@ def theory_borders(plane: Plane) -> Lines:
         name + frame: (kind, frame)
         for name, kind in KINDS.items()
         for frame in frames[: 1 + kind.of_frame]
-        if kind.rate not in plane.extent  # the line of rate 0 is trivial if the rate is an axis
+        if kind.rate not in plane.extent  # if a rate is an axis, the line on which the rate is 0 is trivial
     }
 
     def classes(positions: Array) -> Classes:

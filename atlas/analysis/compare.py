@@ -27,8 +27,8 @@ from .metadata import (
     with_measured_labels,
 )
 
-# A point counts as near the analytical boundary within this fraction of the axis range. Near the boundary growth is slow, and stable
-# motions have large amplitudes.
+# A point is near the analytical boundary if its distance from the boundary is below this fraction of the axis range. Near the
+# boundary, growth is slow and stable motions have large amplitudes.
 BAND = 0.02
 # An unstable motion may be labelled steady while the product of growth_rate and duration is below this number, because growth by
 # a factor of e^12 = 160 000 may still leave the effect of a small nudge within the tolerance.
@@ -40,7 +40,7 @@ OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapun
 
 
 def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
-    """Return a comparison of labels with theory, with the `worst` clearest disagreements, as text."""
+    """Return a text that compares labels with theory. The text lists the clearest disagreements, at most `worst` in number."""
     whole_number("worst", worst, 0)
     whole = with_measured_labels(ds)
     ds = _variables_to_compare(whole)
@@ -92,7 +92,7 @@ def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
 def confusion(
     corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
 ) -> list[str]:
-    """Return a table that counts points by pairs of flags. Rows are the flags `names`, columns the flags `columns` or else `names`."""
+    """Return a table of the numbers of points with each pair of flags. Rows are `names`, and columns are `columns`, by default `names`."""
     shape = len(names), len(columns or names)
     pairs = np.ravel(down).astype(np.intp) * shape[1] + np.ravel(across)
     table = np.bincount(pairs, minlength=math.prod(shape)).reshape(shape)
@@ -102,7 +102,7 @@ def confusion(
 
 
 def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
-    """Return lines that count stable points that drift and unstable points that stay steady, in total and away from the boundary."""
+    """Return lines with the numbers of drifting stable and steady unstable points, with and without points near the limit of stability."""
     label, stable = ds["label"].values, ds["stable"].values
     log_growth = ds["growth_rate"].values * ds["end_time"].values
     near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
@@ -148,7 +148,7 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
 
 
 def _proof_lines(ds: xr.Dataset, worst: int) -> list[str]:
-    """Return lines that compare labels proved for every duration with measured labels, and the first `worst` contradictions."""
+    """Return lines that compare proved labels with measured labels. At most `worst` contradictions are listed for each label variable."""
     lines = []
     for label, proof in proofs_of_labels().items():
         predicted = label.replace("label", "predicted")
@@ -173,7 +173,7 @@ def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
 
 
 def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
-    """Return lines on the `count` clearest disagreements.
+    """Return lines about the clearest disagreements. `count` is the largest number of disagreements.
 
     If theory predicts a steady motion, the disagreement is clearest where the drift is strongest. If theory predicts drift, the
     disagreement is clearest where the drift is weakest. Without measured rates, the first disagreements are listed.

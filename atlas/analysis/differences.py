@@ -69,7 +69,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
 
 
 def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
-    """Return the changes of flags, and the differences of numbers, second atlas minus first; see `Atlas.differences`."""
+    """Return changes of flags and numbers from `first` to `second`. Numbers change by `second` minus `first`; see `Atlas.differences`."""
     flags, numbers = _common_variables(first, second)
     result: dict[str, xr.Variable] = {}
     for name in flags:

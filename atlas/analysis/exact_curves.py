@@ -1,4 +1,4 @@
-"""Curves of exact steady motions on a plane."""
+"""Curves on the plane of a map. The points of a curve have exact steady motions."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ REGION = 0.1
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Return the curves on a plane along which exact steady motions exist, by family.
 
-    The family of the scene is traced or, if the scene names none, every family. If the scene solves its points onto a family, each
-    axis of offsets from the family gives a line on which the offset is 0. Otherwise the conditions of a family hold on a curve.
+    If the scene names a family, only this family is traced. If the scene solves parameters for the family, each axis of offsets
+    from the solution gives the line on which the offset is 0. Otherwise all conditions of a family hold on a curve.
     """
     scene = plane.scene
     if scene.solve:
@@ -85,7 +85,7 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
 def _zero_lines(
     plane: Plane, family: Family, axes: list[Array], column: Array, function: Callable[[Any], Array]
 ) -> list[Array]:
-    """Return the lines on which `function` is zero and the family exists. `column` contains the values of `function` at the samples."""
+    """Return the lines on which `function` is 0 and the family exists. `column` contains the function's values on the lattice of `axes`."""
 
     def base(places: Array) -> Mapping[str, Array]:
         return plane.points(dict(zip(plane.extent, places.T, strict=True))).base

@@ -1,4 +1,4 @@
-"""Greek letters and functions that LaTeX knows by name, and a function that escapes the special characters of a text."""
+"""Names of Greek letters and of mathematical functions in LaTeX. The function `escaped` escapes the special characters of a text."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
-# Attribute of variables that hold positions in a list. With the text "none end", the value -1 is named none, and 0 is named end_0.
+# Attribute of variables that hold positions in a list. If the attribute is "none end", the value -1 is named none, and 0 is named end_0.
 POSITIONS = "atlas_positions"
 
 
@@ -103,9 +103,9 @@ CHANGED = (
 def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
     """Return the scene from which a part of an atlas can be computed again, or None for points without a scene.
 
-    Raise BadInput if a coordinate differs from the scene by more than rounding. Evenly chosen points are compared. If
-    coordinates are lazy, only the first, middle and last values of axes are compared. An axis may lack values of the scene. If an
-    axis has values that the scene lacks, as after a join of atlases, the axis must also have all values of the scene.
+    Raise BadInput if a coordinate differs from the scene by more than rounding. All values of axes are compared. Other
+    coordinates are compared at evenly spaced points, with at most three along each dimension if coordinates are lazy. An axis may
+    lack values of the scene. If an axis has other values, as after a join, the axis must also have all values of the scene.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
@@ -153,7 +153,7 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Return the values of a coordinate. A value `_close` to a value of the scene's axis is replaced by the latter."""
+    """Return the coordinate values `here`. A value that is `_close` to a value of the scene's axis is replaced by the value of the axis."""
     values = np.sort(axis.values)
     nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
@@ -197,7 +197,7 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
 
 
 def common_values(ds: xr.Dataset, scene: Scene) -> dict[str, float | str]:
-    """Return the values that all points of a part of an atlas share. Ties are given as text."""
+    """Return, by name, the values of parameters that do not vary over a part of an atlas, and the texts of tied parameters."""
     single = {dim: float(ds[dim]) for dim in axes_of(scene) if dim in ds.coords and ds[dim].ndim == 0}
     return {**scene.fixed, **{name: tie.text for name, tie in scene.ties.items()}, **single}
 
@@ -209,7 +209,7 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Return the axes with distinct numbers, except axes that count listed points or random draws. Points there have no neighbours."""
+    """Return the axes with distinct numbers, except axes that count listed points or random draws. Points and draws have no neighbours."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}
@@ -249,7 +249,7 @@ def _registry(system: System) -> Mapping[str, Variable]:
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """If a variable holds positions in a list, return the flag name of -1 and the stem of the other flag names, else None."""
+    """Return the name of the value -1 and the stem of the names of other values, or None if a variable holds no positions in a list."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -259,9 +259,9 @@ def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
 def has_flags(array: xr.DataArray) -> bool:
     """Whether a variable has flags.
 
-    Booleans are flags. Other flags have flag_meanings, and either the name of a flag variable or a long_name that no flag
-    variable has. A variable with the long_name of a flag variable but with another name is a difference of flags, and holds
-    numbers. Floats under the name of a flag variable are averages of flags, even without attributes.
+    A Boolean variable has flags. Another variable has flags if it has flag_meanings, and either the name of a flag variable or a
+    long_name that no flag variable has. A variable with only the long_name of a flag variable is a difference of flags, and has
+    none. Floats under the name of a flag variable are averages of flags. Averages count as flags, even without attributes.
     """
     if array.dtype.kind == "b":
         return True
@@ -306,7 +306,7 @@ def flag_names(array: xr.DataArray) -> list[str]:
 
 
 def is_averaged(array: xr.DataArray) -> bool:
-    """Whether a flag variable holds averages or similar values. Either its type is no integer, or its cell_methods say so."""
+    """Whether a flag variable holds averages or other numbers that are no flags, according to its type or its cell_methods."""
     if not has_flags(array):
         return False
     texts = _AVERAGED.findall(attribute_text(array.attrs, "cell_methods"))
@@ -317,7 +317,7 @@ def is_averaged(array: xr.DataArray) -> bool:
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """Return the dataset with flags instead of positions in a list. The first flag means no position, and each position has a flag."""
+    """Return the dataset. If the variable holds positions in a list, flag i + 1 replaces position i, and flag 0 means no position."""
     names = _positions(ds, variable)
     if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds
@@ -329,7 +329,7 @@ def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """Return the flag variable of this name. Positions in a list are returned as flags. Raise BadInput for other variables and averages."""
+    """Return the flag variable of a name, with flags for positions in a list. Raise BadInput for averages and variables without flags."""
     ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:

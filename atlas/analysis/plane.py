@@ -21,7 +21,7 @@ from .select import cell_edges
 
 # Even number of samples along an axis. No sample is then in the middle of an extent, where special values such as 0 often are.
 SAMPLES = 300
-# Rates up to this size, in rad per time unit, are rounding and count as zero.
+# Rates up to this size, in rad per time unit, count as zero, because they may be rounding errors.
 ZERO_RATE = 1e-9
 IN_SPACE = " in space"
 
@@ -48,7 +48,7 @@ class Plane:
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:
         """Return the plane of the given dimensions of an atlas. Raise BadInput if another axis has several values.
 
-        The plane reaches half a cell beyond the outermost points, except on sides where the scene has no points.
+        The plane reaches half a cell beyond the outermost points, except on a side where a parameter would be out of range.
         """
         # NumPy's min and max are used, because xarray's would import dask.
         extent = {dim: (float(ds[dim].values.min()), float(ds[dim].values.max())) for dim in dims}
@@ -66,7 +66,7 @@ class Plane:
         return plane
 
     def _extend(self, dim: str, low: float, high: float) -> Plane:
-        """Return the plane with wider limits along an axis. A limit is used only if the scene has points there."""
+        """Return the plane with wider limits along an axis. A limit at which a parameter is out of range is not used."""
         parameter = self.scene.system.parameters.get(dim)
         plane = self
         for side, value in enumerate((low, high)):
@@ -89,7 +89,7 @@ class Plane:
         return spaced(*self.extent[dim], count)
 
     def coordinates(self, positions: Array) -> dict[str, Array]:
-        """Return values by dimension at `positions` (points, axes), which are fractions of the extent of each axis."""
+        """Return coordinates by dimension at `positions`, (points, axes). A position is given as fractions of the extents of the axes."""
         values = {}
         for position, (dim, (low, high)) in zip(positions.T, self.extent.items(), strict=True):
             if is_logarithmic(self.scene, dim, (low, high)):

@@ -91,7 +91,7 @@ def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
 
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """Return the part of an atlas nearest to `values` of axes or of parameters of points; see `Atlas.nearest`."""
+    """Return the part of an atlas nearest to `values` of axes or, among single points, of parameters; see `Atlas.nearest`."""
     if "point" not in ds.dims or not values:
         return nearest_on_axes(ds, values, degrees)
     check_not_empty(ds)
@@ -122,7 +122,7 @@ def _number(name: str, value: object) -> float:
 
 
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """Return the part of an atlas nearest to values of axes. Raise BadInput if a name is no axis or a value is over half a cell outside."""
+    """Return the part of an atlas nearest to axis values. Raise BadInput if a name is no axis, or a value is outside the axis's cells."""
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
@@ -150,7 +150,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
 
 
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
-    """Return the edges of cells around increasing values. Inner edges are midway between values, and outer cells are symmetric."""
+    """Return edges of cells around increasing values. Inner edges are midway between values, and end values are centred in their cells."""
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
         edges = np.array([v[0] - 0.5, v[0] + 0.5])
@@ -188,9 +188,9 @@ def plane_of(
     *,
     degrees: bool = False,
 ) -> tuple[xr.Dataset, list[str], list[str]]:
-    """Return the plane that a map shows, the axes of the map and the axes of panels; see `Atlas.map`.
+    """Return the plane that a map shows, the axes of the map (x first) and the axes of panels; see `Atlas.map`.
 
-    The plane is sorted, in rad and not loaded. The first axis is x. Angles in `select` are in degrees if `degrees` is true.
+    The plane is sorted along its axes and not loaded into memory. If `degrees` is true, only the angles in `select` are in degrees.
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select, degrees).squeeze()

@@ -75,7 +75,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """Return a line on the family of steady motions nearest to the drifting points. Return no line unless listed points drift."""
+    """Return a sentence that names the family of motions nearest to the drifting points. Return no sentence unless single points drift."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system = system_of(ds)

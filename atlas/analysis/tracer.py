@@ -69,12 +69,12 @@ DIVISION, LEVELS = 3, 2
 # If the first samples take more seconds than this, tracing takes more than two seconds and is announced.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
-# Numbers of steps that find a vertex. TRISECTIONS is for planes with two axes (to about 1e-5 of each), LINE_TRISECTIONS for one axis.
+# A vertex is found by TRISECTIONS steps on two axes, to about 1e-5 of each axis, and by LINE_TRISECTIONS steps on a single axis.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
 # A line is first cut into stretches of about STRETCH vertices. A stretch within FLATNESS cells of its chord is straight.
 STRETCH, FLATNESS = 16, 0.05
 
-# Kind of line -> class of each point. The class is 1 or 2 on the two sides of a line, and 0 at points without such lines.
+# Kind of line -> class of each point. Lines separate points of class 1 from points of class 2, and stop at points of class 0.
 Classes = Mapping[str, Flags]
 Codes = NDArray[np.int64]  # one number for each point, which encodes the point's class for every kind of line
 
@@ -118,8 +118,8 @@ def narrowed_lines(
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
     """Return lines between samples above a level and other samples. Return also the two samples beside each vertex.
 
-    Lines and samples are indices (vertices, axes). Trisection finds vertices. A stretch that is not straight within FLATNESS
-    is halved, and only the ends of stretches are vertices.
+    Lines and samples are indices (vertices, axes). Trisection finds each vertex. A stretch of a line that is not straight within
+    FLATNESS is halved. Only the ends of the final stretches become vertices.
     """
     lines = lines_at(values, level)
     if not lines:
@@ -153,7 +153,7 @@ def narrowed_lines(
 
 
 def narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
-    """Find where `is_above` first differs from `at_low` between `low` and `high`, (vertices, axes), by `count` trisections."""
+    """Find by `count` trisections the places between `low` and `high`, (vertices, axes), where `is_above` first differs from `at_low`."""
     for _ in range(count):
         third = (high - low) / 3
         inner = np.concatenate([low + third, low + 2 * third])
@@ -185,10 +185,10 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
 
 
 def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
-    """Return the samples after the division of cells into DIVISION x DIVISION, and which of the samples were evaluated.
+    """Divide each cell into DIVISION x DIVISION smaller cells. Return the samples at all corners, and a mask of the evaluated samples.
 
-    All samples are evaluated in cells that a line crosses, and the line is followed into neighbouring cells. Any other sample is a
-    copy of the nearest evaluated sample.
+    In each cell that a line crosses, all samples are evaluated. The line is followed into neighbouring cells. Any other sample is a
+    copy of the nearest of the given `samples`.
     """
     count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
     nearest = np.rint(np.arange(count) / DIVISION).astype(int)
@@ -217,7 +217,7 @@ def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) ->
 def without_poles(
     size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
-    """Return the parts of lines on which a quantity passes through zero, not through a pole. `size` gives magnitudes at positions."""
+    """Return the parts of `lines` at zeros of a quantity, without parts at poles. `size` gives the quantity's magnitude at positions."""
     return [
         part
         for (low, high), line in zip(edges, lines, strict=True)
@@ -254,18 +254,18 @@ def values_at(positions: Array, axes: list[Array]) -> Array:
 
 
 def on_axes(column: Array, shown: Mask, axes: list[Array]) -> Array:
-    """Return values at the points of a lattice in the shape of its axes, with nan at points that are not shown."""
+    """Return `column`, which has a value for each point of a lattice, as an array over `axes`. Points that are not shown get nan."""
     return np.where(shown, column, np.nan).reshape([axis.size for axis in axes])
 
 
 def lines_at(values: Array, level: float) -> list[Array]:
-    """Return lines through the midpoints of neighbours on opposite sides of a level, as indices (vertices, axes). Lines stop at nan."""
+    """Return lines midway between neighbouring values above and below a level, as indices (vertices, axes). Lines stop at nan."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
     if not ((above == 0).any() and (above == 1).any()):
         return []
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
-    # Closed lines of up to six vertices are dropped. They enclose one or two points, as where a region is narrower than the cells.
+    # Closed lines of up to six vertices are dropped. They enclose one or two points, for example if a region is narrower than a cell.
     return [line for line in contours(above, 0.5) if len(line) > 7 or (line[0] != line[-1]).any()]
 
 
@@ -277,7 +277,7 @@ def contours(values: Array, level: float) -> list[Array]:
     return cast("list[Array]", generator.lines(level))
 
 
-# Extrapolation of a frequency difference across a crossing may err by up to this fraction of the summed differences on the two sides.
+# A frequency difference extrapolated across a crossing may err by this fraction of the sum of the differences beside the crossing.
 _CURVATURE = 0.5
 
 
@@ -302,7 +302,7 @@ def crossings(difference: Array) -> list[Array]:
 
 
 def _crossed_edges(difference: Array) -> Array:
-    """Return where the difference vanishes between samples i and i + 1 of the first axis, as a fraction of the way, or nan."""
+    """Return the place between samples i and i + 1 of the first axis, from 0 to 1, at which `difference` touches 0, or nan."""
     fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
     before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
     with np.errstate(invalid="ignore", divide="ignore"):

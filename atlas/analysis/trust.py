@@ -168,7 +168,7 @@ def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
 
 
 def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataArray:
-    """Return the number of points with each flag. Dimensions are `along`, in the order of the atlas, and one with the variable's name."""
+    """Return the number of points with each flag. The dimensions are those of `along`, in the order of the atlas, and then `variable`."""
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
     dims_along = [dim for dim in dims if dim in along]

@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command() -> NoReturn:
-    """Run the command of this process, or complete it for the shell."""
+    """Run the command of this process. If the shell asks for completions of a command line, write the completions instead."""
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete  # without argcomplete the shell asks for no completions
 

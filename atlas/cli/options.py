@@ -38,7 +38,7 @@ class Parser(argparse.ArgumentParser):
         self._several: dict[str, Callable[[str], bool]] = {}
 
     def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **settings: Any) -> Any:
-        """Add an argument as argparse does. An option with `belongs` takes all following words for which `belongs` is true."""
+        """Add an argument as argparse does. An option with `belongs` takes the following words up to a word that does not belong."""
         if belongs is not None:
             settings["action"] = "append"
             self._several |= dict.fromkeys(names, belongs)
@@ -49,7 +49,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
-        """Return words in which the name of an option that takes several values is repeated before each value of the option."""
+        """Return `words`, but repeat the name of an option that takes several values before each of these values."""
         repeated: list[str] = []
         option, first = None, False
         for i, word in enumerate(words):
@@ -84,13 +84,13 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """Return the names and settings of an argument for `Parser.add_argument`. `help` is a Text, `lowest` the least allowed number."""
+    """Return names and settings for `Parser.add_argument`. The setting `help` is a Text, and `lowest` is the lowest allowed number."""
     return names, settings
 
 
 @dataclass(frozen=True)
 class Command:
-    """Command of the shell, which is described by the docstring of its handler."""
+    """Shell command. The docstring of the command's handler describes the command."""
 
     name: str
     arguments: tuple[Argument | list[Argument], ...]  # the arguments in a list exclude each other
@@ -196,7 +196,7 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
 
 
 def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
-    """Return NAME=VALUE options as texts by name. An error message gives `form` as the allowed form."""
+    """Return the VALUE of each NAME from texts NAME=VALUE. An error message gives `form` as the allowed form."""
     values: dict[str, str] = {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -209,7 +209,7 @@ def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
 
 
 def axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
-    """Return AXIS=VALUE options as numbers by axis."""
+    """Return the number VALUE of each AXIS from texts AXIS=VALUE."""
     form, values = 'AXIS=VALUE with a finite number, or arithmetic such as "60 * deg"', {}
     for name, text in assignments(option, texts, form).items():
         try:

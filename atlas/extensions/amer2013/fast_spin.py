@@ -102,14 +102,14 @@ def fast_spin(points: Points) -> FastSpin:
 
 
 def dimensional(spin: FastSpin, y: Array) -> Array:
-    """Convert y to the state (p, q, r, gamma) of the equations of motion, of the same shape, by (4)."""
+    """Convert y by (4) to the state (p, q, r, gamma) of the equations of motion. The shape stays the same."""
     p, q, r, g1, g2, g3 = y
     unit, tilt = spin.scale, spin.gamma0
     return np.array([unit * p, unit * q, spin.r0 * r, tilt * g1, tilt * g2, tilt * g3])
 
 
 def dimensionless(spin: FastSpin, state: Array) -> Array:
-    """Convert the state (p, q, r, gamma) of the equations of motion to y, of the same shape, by (4)."""
+    """Convert the state (p, q, r, gamma) of the equations of motion to y by (4). The shape stays the same."""
     p, q, r, g1, g2, g3 = state
     unit, tilt = spin.scale, spin.gamma0
     return np.array([p / unit, q / unit, r / spin.r0, g1 / tilt, g2 / tilt, g3 / tilt])
@@ -157,7 +157,7 @@ def to_quasilinear(spin: FastSpin, y: Array) -> Array:
 
 
 def quasilinear(spin: FastSpin, x: Array) -> Array:
-    """Return dx/dtau from (15) to first order in eps. The forcing is Omega mu1 in p2'' and eps mu1 / (1 + Omega) in gamma2''."""
+    """Return dx/dtau from (15) to first order in eps. The forcing is Omega Re(mu) for p2'' and eps Re(mu) / (1 + Omega) for gamma2''."""
     p, p_dot, g, g_dot = x
     forcing = spin.Omega * spin.mu.real
     return np.array([p_dot, forcing - spin.Omega**2 * p, g_dot, spin.eps * spin.nu * spin.mu.real - g])
@@ -174,7 +174,7 @@ def period_correction(spin: FastSpin, turns: int = 1) -> Array:
 
 
 def first_order(spin: FastSpin, tau: Array) -> Array:
-    """Return y of the periodic solution (33) to first order in eps, with the period of `period_correction`; (6, ...)."""
+    """Return y, (6, ...), of the periodic solution (33) to first order in eps. The frequency includes the shift `frequency_shift`."""
     T = (1 + frequency_shift(spin)) * tau
     eps, M3, f = spin.eps, spin.M3, spin.forced
     cosine, sine = np.cos(T), np.sin(T)
@@ -254,7 +254,7 @@ def integrate(spin: FastSpin, y0: Array, tau: Array, **options: Any) -> Array:
 
 
 def paper_body(name: str, rotor: float | Array) -> FastSpin:
-    """Return the body `name` of section VI, a key of PAPER_BODIES, with l1 = l2 = l3 = `rotor` in N m s."""
+    """Return the body of section VI that has the key `name` in PAPER_BODIES, with l1 = l2 = l3 = `rotor` in N m s."""
     A, C = PAPER_BODIES[name]
     d = PAPER_DATA
     weight = d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
@@ -284,7 +284,7 @@ def random_spin(rng: np.random.Generator, **given: float) -> FastSpin:
 
 
 def paper_spin(rng: np.random.Generator) -> FastSpin:
-    """Return one of the two bodies of section VI with a rotor of 10 to 25 N m s, which keeps eps |mu / Omega| below 5e-3."""
+    """Return a random one of the two bodies of section VI. The random rotor of 10 to 25 N m s keeps eps |mu / Omega| below 5e-3."""
     return _paper_spin(str(rng.choice(list(PAPER_BODIES))), rng.uniform(10, 25))
 
 
@@ -314,7 +314,7 @@ def true_acceleration(spin: FastSpin, y: Array) -> Array:
 SAMPLES = 201  # number of instants of a run at which errors are computed
 # Number of points that are integrated together. More points share the overhead of a step, but need more memory.
 CHUNK = 512
-# Largest number of evaluations of the equations for a chunk of points. The longest runs, of MAX_RADIANS, need less than half of it.
+# Largest number of evaluations of the equations for a chunk of points. The longest runs, of MAX_RADIANS, need less than half as many.
 MAX_EVALUATIONS = 200_000
 
 
@@ -330,10 +330,10 @@ def errors(
 ) -> tuple[Array, Array]:
     """Return the largest errors of gamma and of p + i q in a run. `solution` returns the states y of a body at times tau.
 
-    An error of gamma is the length of a vector difference, in rad if small. An error of p + i q is divided by the largest |p + i q|.
-    Errors are nan where the run is longer than MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from
-    the initial value of the solution, with r0 and gamma0'' of the point, so that errors are due to the formula. DOP853 takes about
-    0.1 ms per point and turn. Points of a chunk share steps, so that digits of an error near 1e-12 depend on the other points.
+    An error of gamma is the distance of the solution's gamma from the exact gamma. A small error of gamma is an angle in rad. An
+    error of p + i q is divided by the largest |p + i q|. Errors are nan where the run is longer than MAX_RADIANS, or a chunk cannot
+    be integrated. The full equations are integrated from the initial value of the solution, with r0 and gamma0'' of the point. Thus
+    errors are due to the formula. Points of a chunk share steps, so that digits of an error near 1e-12 depend on the other points.
     """
     angle, rate = np.full(duration.shape, np.nan), np.full(duration.shape, np.nan)
     with np.errstate(all="ignore"):

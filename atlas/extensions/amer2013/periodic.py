@@ -82,7 +82,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Correct the unknowns by Newton's method. Also return the defect d before the last correction, after which about d^2 is left."""
+    """Correct the unknowns by Newton's method. Also return the defect d before the last correction. The final defect is about d^2."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])

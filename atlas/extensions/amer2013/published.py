@@ -109,7 +109,7 @@ def check(points: Points, duration: Array) -> None:
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
-    """Return the correction alpha of (33) to the period of a turn, from the mean rate of the phase of g1 + i g2 by the full equations."""
+    """Return the correction alpha of (33) to the period of a turn, measured in a run. The vector (y[3], y[4]) turns once in a period."""
     tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
     y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
     rate = fast_spin.rhs(spin, y)
@@ -118,7 +118,7 @@ def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
     return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
 
 
-# The following functions measure the errors of formulas, printed and true, against the equations of motion.
+# The following functions measure the errors of printed formulas and of true formulas.
 
 Formula = Callable[[FastSpin, Array], Array]
 
@@ -129,7 +129,7 @@ def _of_body(
     true: Any,
     draw: Callable[[np.random.Generator], FastSpin] = random_spin,
 ) -> EntryMeasure:
-    """Return an entry measure, the largest magnitude of measure(body, random generator, reading) for a body from `draw`."""
+    """Return a function (entry, reading, generator) whose value is the largest magnitude of `measure` for a body from `draw`."""
     readings = {"printed": printed, "true": true}
     return lambda entry, reading, rng: float(np.abs(measure(draw(rng), rng, readings[reading])).max())
 
@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
-    """Return the error of chi1 and nu. In w = p1 + i q1, eps chi1 G must turn like G = g1 + i g2. In G, eps nu w must turn like w."""
+    """Return the error of chi1 and nu. The part eps chi1 G of w = p1 + i q1 must turn like G = g1 + i g2, and part eps nu w of G like w."""
     chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
@@ -185,14 +185,14 @@ def _solution_errors(spin: FastSpin, solution: Formula) -> Array:
 
 
 def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
-    """Return the largest error of theta, psi or phi in two turns, relative to the oscillation of first order in eps."""
+    """Return the largest error of theta, psi or phi in two turns of the body, relative to the oscillation of first order in eps."""
     t, *exact = _exact_angles(spin)
     return np.abs(formula(spin, t)[index] - exact[index]).max() / (spin.eps * np.abs(spin.forced))
 
 
 @cache
 def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
-    """Return times in two turns, and theta, psi and phi at these times by the full equations."""
+    """Return times in two turns of the body at the spin r0, and theta, psi and phi at these times from the integrated motion."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
     tau = np.linspace(0, 4 * np.pi, 401)
@@ -216,7 +216,7 @@ def _change_by_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[F
 
 
 def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[FastSpin], Any]) -> Array:
-    """Return h'' + f^2 h - 1 at a random time tau, where h is the integral of sin(w (tau - t1)) / f over t1 from 0 to tau."""
+    """Return h'' + f^2 h - 1 at a random tau for frequencies f and w. h is the integral of sin(w (tau - t1)) / f over t1 from 0 to tau."""
     (f, w), tau = frequencies(spin), rng.uniform(0.5, 5.0)
     return (w * np.cos(w * tau) + f**2 * (1 - np.cos(w * tau)) / w) / f - 1
 
@@ -269,7 +269,7 @@ MEASURES: dict[str, EntryMeasure] = {
         _kernel_24, lambda spin: (1, np.sqrt(frequency_squared(spin))), lambda spin: (1, 1), _FAST
     ),
     "(24), g_k": _of_body(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
-    # The printed form says W1 > 0, the true form W1 < 0. The error is |W1| where W1 has the other sign.
+    # The printed form says W1 > 0, the true form W1 < 0. The error of a form is |W1| where W1 contradicts the form, else 0.
     "(32)": _of_body(
         lambda spin, rng, sign: np.maximum(0, -sign * formulas(coefficients(spin), "W1")), 1, -1, paper_spin
     ),

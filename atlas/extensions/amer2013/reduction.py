@@ -29,7 +29,7 @@ from .fast_spin import (
 )
 
 Values = dict[str, Any]
-VARIABLES = ("p1", "q1", "r1", "g1", "g2", "g3")  # p1, q1, r1, g1, g1' and g1'' of (1)
+VARIABLES = ("p1", "q1", "r1", "g1", "g2", "g3")  # written p1, q1, r1, g1, g1' and g1'' in (1)
 CONTENT, ENTRIES = load(__package__)
 
 
@@ -90,7 +90,7 @@ def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
 
 
 def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
-    """Return two random states with the same energy and area integral by (2) and the corrected (3). The first state has r1 = g3 = 1."""
+    """Return two random states with equal energy and area integral, as defined by (2) and the corrected (3). In the first, r1 = g3 = 1."""
     y0, y = rng.normal(size=(2, 6))
     y0[[2, 5]] = y[[2, 5]] = 1.0
     for _ in range(60):  # each step is a contraction by a factor of order eps
@@ -167,7 +167,7 @@ def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
-    """Return two random states, and the exact p2'' and gamma2'' at eight values of eps. k and the rotor do not vary with eps."""
+    """Return two random states of a random body, and p2'' and gamma2'' by the equations of motion at eight values of eps."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
     C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
     spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)
@@ -182,7 +182,7 @@ def _series(rng: np.random.Generator, entry: Entry) -> Values:
 
 @cache
 def _periodic(body: str, rotor: float) -> Values:
-    """Return the exact periodic solution of a body of section VI at tau = 0, with the variables p2 to gamma2'."""
+    """Return the state at tau = 0 of the periodic solution for a body of section VI, with p2, p2', gamma2 and gamma2'."""
     spin = paper_body(body, rotor).of_shape((1,))
     start = periodic.solutions(spin).start
     x = dict(zip("pvgu", fast_spin.to_quasilinear(spin, start), strict=True))
@@ -190,7 +190,7 @@ def _periodic(body: str, rotor: float) -> Values:
 
 
 def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
-    """Return the periodic solution of a random body of section VI with a rotor."""
+    """Return the values of `_periodic` for a random body and a random rotor from section VI of the paper."""
     return dict(_periodic(str(rng.choice(list(PAPER_BODIES))), float(rng.choice(PAPER_ROTORS[1:4]))))
 
 
@@ -200,7 +200,7 @@ AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
 
 
 def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the largest error of a reading, relative to the exact value or, for an entry with "terms_printed", to the readings' difference."""
+    """Return the largest error of a reading in units of the exact value. With "terms_printed" the unit is printed minus true value."""
     values = AT[entry["at"]](rng, entry)
     results = [evaluate(entry["exact"], values)]
     results += [left_side(entry, each, values) for each in ("printed", "true")]

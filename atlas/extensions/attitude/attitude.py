@@ -30,7 +30,7 @@ ORBITAL = "orbital"
 LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # x, y, z are velocity, -normal, nadir
 # Rotation from each frame of a satellite to the orbital axes (radius, velocity and orbit normal), at the start.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
-# Relative differences up to which mirrored elements of a tensor, two moments, and two components of axes count as equal.
+# Numbers count as equal up to these relative differences. ASYMMETRY is for elements T_ij and T_ji, EQUAL for moments, TIE for axes.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9
 ROUNDING = 1e-14  # relative rounding error of an angular velocity
 NO_ROTATION = 1e-6  # products of the rows of a rotation matrix may differ from 0 and 1 by this
@@ -82,7 +82,7 @@ def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Return moments, and axes as rows (points, 3, 3). The signs, and the order if `nearest`, minimise the turn from the given axes."""
+    """Return moments, and axes as rows. The axes' signs, and their order if `nearest`, minimise the turn from the axes of `tensor`."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
     # The largest component of each axis (the first of equal ones) is made positive, so that the signs from the solver do not matter.
@@ -100,7 +100,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
 
     equal = np.diff(moments) <= EQUAL * np.abs(moments[:, 2:])
     k = np.flatnonzero(equal[:, 0] != equal[:, 1])
-    if k.size:  # if two moments are equal, the smallest rotation takes a given axis to the axis of symmetry
+    if k.size:  # if two moments are equal, use the smallest turn of a given axis to the axis of symmetry
         single = np.where(equal[k, 0], 2, 0)
         axis = main[k, single] if nearest else single
         given, symmetry = np.eye(3)[axis], rows[k, single]
@@ -150,7 +150,7 @@ def start(
     units : str, optional
         "rad/s" (rad per time unit), "deg/s" or "rpm".
     Omega : float or array_like (points,), optional
-        Angular velocity of the orbit, needed for inertial rates; use the Omega of the points. Default: 1, as for the satellite.
+        Angular velocity of the orbit, needed for inertial rates. Pass the same Omega to `label_points`. Default: 1, as for the satellite.
     axes : array_like, optional
         Principal axes from `principal`, if attitude and rates refer to the axes given to `principal`.
 
@@ -197,7 +197,7 @@ def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Arr
     p, q, r = np.moveaxis(rates, -1, 0)
     rounding = ROUNDING * np.sqrt(p**2 + q**2 + r**2 + turning**2)
     p, q = p - turning * sine * np.sin(phi), q - turning * sine * np.cos(phi)
-    # For a vertical third axis, this phi makes theta' the whole rate at which the axis moves, so that n = psi' is 0.
+    # If the third axis is vertical, phi is chosen so that the axis moves at the rate theta' alone. Then n = psi' is 0.
     leaving = np.where(np.hypot(p, q) > rounding, np.arctan2(-q, p), 0.0)
     phi = np.where(vertical, leaving, phi)
     psi = np.where(cosine > 0, total - phi, difference + phi)

@@ -23,7 +23,7 @@ LARGEST_ERROR = 0.01
 LEVELS = 6  # number of minima, counted from the lowest, for which a time of settling is measured
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # key of the energy below which the body counts as settled at its equilibrium
-START = "ends:start"  # key of the energy at the start, increased by a margin for errors
+START = "ends:start"  # key of the energy at the start plus a margin for errors
 LEAST = "ends:least"  # key of the lowest potential among equilibria that are no minima
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled or undecided;"
@@ -63,7 +63,7 @@ class Ends(Instrument):
         )
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """Return the variables of gyrostats with damping. About a fixed point the precession angle has no meaning and is left out."""
+        """Return the variables for a gyrostat with damping, else none. About a fixed point the precession angle is left out."""
         if not isinstance(system, Gyrostat) or "damping" not in system.parameters:
             return ()
         missing = "end_psi0" if len(system.equations.FRAME_VECTORS) == 1 else ""
@@ -150,7 +150,7 @@ class Settling(Instrument):
         return self.every_variable(system) if ENDS.variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """Return the energies below which a body is settled at its minima, (LEVELS, points), ascending and filled with nan."""
+        """Return the energies below which a body is settled at a minimum, (LEVELS, points), from the lowest. A missing minimum has nan."""
         from .wells import wells_of
 
         wells, row = wells_of(system, points)

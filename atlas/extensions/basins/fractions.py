@@ -1,4 +1,4 @@
-"""Fractions of starts that end in each equilibrium."""
+"""Fractions of starts whose motions end in each equilibrium."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def basin_fractions(
     ds : Dataset
         The atlas. `ds.atlas.basin_fractions` passes its dataset.
     over : str or sequence of str, optional
-        The axes of starts, by default all axes. The axis of an atlas of listed points is "point".
+        The axes along which the starts vary, by default all axes. The axis of an atlas of listed points is "point".
     variable : str
         "end_equilibrium", or "end" of the result of `ends`.
 
@@ -33,8 +33,8 @@ def basin_fractions(
     Dataset
         `fraction`, with the limits `lower` and `upper` as in `probability`. The dimensions are the axes that are not in `over`,
         and the variable. Along the variable, -1 means no end, and other values are positions in `atlas.equilibria` or along
-        `which` of `ends`. For equilibria, `undecided` is the fraction of starts whose end an error as large as the tolerance
-        could change. In atlases without this check `undecided` is nan.
+        `which` of `ends`. For equilibria, `undecided` is the fraction of starts whose end may change if the start has an
+        error as large as the tolerance. In atlases without this check `undecided` is nan.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Ends of the motions of any system, as groups of motions whose statistics agree after a transient."""
+"""Ends of the motions of any system. Motions have the same end if their statistics agree after a transient."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
 
 
 def groups(values: Array) -> NDArray[np.int64]:
-    """Return the group number of each row. Steps of at most 1 in every column join rows to groups. The limit 1 is accurate to 1 / CELLS."""
+    """Return the group number of each row. A group is a chain of rows, each within 1 of another in every column, to about 1 / CELLS."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree

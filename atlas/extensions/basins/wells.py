@@ -1,9 +1,9 @@
 """Equilibria of a damped gyrostat, and the wells of the amended potential W in which the energy holds the gyrostat.
 
-The torque is -D u, where u is the angular velocity relative to the frame. The energy J = u.I u / 2 + W then falls at the rate
-D u.u, so that the body stays in its component of {W <= J}. If a minimum is the only equilibrium of the component, every motion in
-the component ends there (LaSalle). As J rises, the first other equilibrium to join the component is one from which descent of W
-reaches the minimum. The rim of the well is therefore the lowest potential of all equilibria with this property.
+The damping D gives the torque -D u, where u is the angular velocity relative to the frame. The energy J = u.I u / 2 + W then falls
+at the rate D u.u, so that the body stays in its component of {W <= J}. If a minimum is the only equilibrium of the component, every
+motion in the component ends there (LaSalle). As J rises, the first other equilibrium to join the component is one from which descent
+of W reaches the minimum. The rim of the well is therefore the lowest potential of all equilibria with this property.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..equilibria.bodies import bodies_of
 Places = NDArray[np.int64]
 # Largest angle (rad) of a settled body from its equilibrium, and largest angular velocity in units of `Wells.rate`.
 SETTLED = 1e-3
-_FLAT = 1e-6  # an eigenvalue of a Hessian counts as 0 below this fraction of the largest one at the body's equilibria
+_FLAT = 1e-6  # an eigenvalue of a Hessian counts as 0 below this fraction of the largest eigenvalue at the body's equilibria
 _DISPLACED = 1e-2  # a descent begins at this angle from an equilibrium, rad
 _SADDLE = 1e-6  # a descent stops when a saddle or maximum is nearer than this angle, rad
 # Number of steps of a descent between two searches for the nearest equilibrium, and largest number of steps.
@@ -38,10 +38,10 @@ class Wells:
     """Equilibria of bodies, in the places of `System.equilibria_of_bodies`. Arrays are (bodies, places), with nan in unused places."""
 
     body: Body
-    rate: Array  # unit of rates, the frame's rate or else the natural rate, (bodies,)
+    rate: Array  # unit of rates, which is the frame's rate or, if that is 0, the natural rate, (bodies,)
     single: bool  # whether gamma is the only direction of the frame; attitudes that differ by a turn about gamma are then equal
     frames: Array  # rows alpha, beta and gamma in body axes, (bodies, places, 3, 3); if `single`, rows alpha and beta are 0
-    axis: Array  # axis of the turns along a circle of equilibria, in body axes, nan for a single equilibrium, (bodies, places, 3)
+    axis: Array  # axis about which an equilibrium turns along its circle, in body axes, nan without a circle, (bodies, places, 3)
     angles: dict[str, Array]  # Euler angles by name, nan where an angle varies along a circle of equilibria
     potential: Array
     index: Array  # Morse index
@@ -57,7 +57,7 @@ class Wells:
         return np.asarray(np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf))
 
     def nearest(self, frames: Array, row: Places) -> tuple[Places, Array]:
-        """Return the places of the equilibria nearest to attitudes (points, 3, 3) of the bodies `row`, and the angles to them in rad."""
+        """Return the place of the equilibrium nearest to each attitude, and the angle to it in rad. `row` has the numbers of the bodies."""
         place, angle = np.empty(len(row), np.int64), np.empty(len(row))
         directions = 1 if self.single else 3
         for first in range(0, len(row), _BLOCK):
@@ -80,7 +80,7 @@ class Wells:
         return body.potential(frames[:, 0], frames[:, 2]) + 0.5 * (body.inertia * rates**2).sum(-1)
 
     def descend(self, frames: Array, row: Places) -> Places:
-        """Return the places of the equilibria, usually minima, that descent of W from attitudes reaches, or -1 if none is reached.
+        """Descend in W from each attitude. Return the place of the equilibrium that is reached, usually a minimum, or -1 if there is none.
 
         Each step is -gradient / L, where L is a bound of the second derivatives of W, so that W falls.
         """
@@ -100,10 +100,10 @@ class Wells:
         return place
 
     def find_rims(self, bodies: Places) -> None:
-        """Compute the rims of wells. A rim is the lowest potential of equilibria from which descent of W reaches the minimum of the well.
+        """Compute the rims of wells. Descent of W leads from some equilibria to the minimum of a well. The rim is their lowest potential.
 
-        If descent reaches no equilibrium, the start counts for every rim. If descent ends at a saddle, the start counts for no
-        rim, because the saddle has a lower potential and is itself a start.
+        If descent from an equilibrium E reaches no equilibrium, E counts for every rim. If descent from E ends at a saddle, E counts
+        for no rim, because the saddle has a lower potential and descent starts from the saddle too.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])

@@ -1,17 +1,17 @@
 """Branches of relative equilibria against a parameter, and the bifurcations at which branches meet.
 
-Branches are not followed one by one. `equilibria_of_bodies` lists all solutions at each value. Two solutions of neighbouring values
-match if the tangent of each predicts the other. The sum of both prediction errors must be far smaller than the sum for any pair that
-contains only one of the two solutions. An interval in which a solution has no match, or changes its index, is divided until Newton's
-method finds each bifurcation in the interval. The equations are
+Branches are not followed one by one. `equilibria_of_bodies` lists all solutions at each value of the parameter. Two solutions at
+neighbouring values match if the tangent of each predicts the other. The sum of both prediction errors must be far smaller than if one of
+the two solutions is paired with a third solution. An interval in which a solution has no match, or changes its index, is divided until
+Newton's method finds each bifurcation in the interval. The equations are
 
     gradient of W = 0,    kappa = 0,
 
 where W is the amended potential, and kappa is the eigenvalue of the Hessian of W that is nearest to 0. An interval is also divided
-if two complex solutions at an end may become real inside. Newton's method then starts from the real part of these solutions.
+if two complex solutions at an end of the interval may become real inside. Newton's method then starts from their real part.
 
-Every solution may be turned about the vertical if nothing acts along alpha, and about an axis of symmetry of the body. These cyclic
-directions are removed. The projector onto them is added to the Hessian, and distances are measured in invariant coordinates.
+If nothing acts along the frame's axis alpha, solutions may be turned about the vertical. If the body has an axis of symmetry,
+solutions may be turned about this axis. The projector onto these cyclic directions is added to the Hessian. Distances ignore such turns.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ Places = NDArray[np.int64]
 # corresponding sum of each pair that contains one of the two and a third solution.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
-# Largest number of rounds in which intervals are divided, and golden ratio, which spreads the points of division.
+# Largest number of rounds in which intervals are divided. The golden ratio spreads the fractions at which an interval is divided.
 _ROUNDS, _GOLDEN = 30, 0.618034
 _DIFFERENCE = 1e-5  # step of central differences, in rad or in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # Newton's method stops when a step is shorter than this
 _CONVERGED = 1e-9  # largest error of the parameter at a bifurcation, in units of the range of the parameter
-_SETTLED = 1e-6  # largest last step of Newton's method, in rad and units of the ranges; near a pitchfork a step only halves the error
+_SETTLED = 1e-6  # largest last step of Newton's method, in rad or parameter ranges; near a pitchfork a step only halves the error
 _BLOCK = 512  # number of intervals whose solutions are matched at once
 _SAME = 1e-3  # bifurcations at a smaller distance in the coordinates of `BodyFamily.place` are the same
 # A solution is degenerate if the scaled Hessian has an absolute eigenvalue below this. At a fold, a derivative of the gradient by a
@@ -55,7 +55,7 @@ class Singular(NamedTuple):
     values: Array  # (N, parameters)
     frames: Array
     null: Array  # eigenvector of the Hessian for the eigenvalue 0, (N, 3)
-    slopes: Array  # derivatives of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
+    slopes: Array  # derivatives of W's gradient and of this eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
     step: Array  # last step of Newton's method, (N, 3 + parameters)
 
     @property
@@ -68,7 +68,7 @@ class Singular(NamedTuple):
         """Whether a change of the parameters lets solutions merge and vanish."""
         by_parameters = self.slopes[:, :3, 3:]
         along = np.abs(np.einsum("ni,nij->nj", self.null, by_parameters))
-        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # least size, because slopes have rounding errors
+        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # lower limit of `size`, above rounding errors
         size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
         return np.asarray((along > _TRANSVERSAL * size).any(1))
 
@@ -98,14 +98,14 @@ class BodyFamily(NamedTuple):
         return np.asarray(self.limits[1] - self.limits[0])
 
     def place(self, frames: Array) -> Array:
-        """Return coordinates that do not change under the symmetries, (..., components)."""
+        """Return coordinates of attitudes, (..., components), that the symmetries of the bodies leave unchanged."""
         alpha, gamma, axis = frames[..., 0, :], frames[..., 2, :], frames[..., self.axis]
         if self.axis < 0:
             return gamma if self.upright else np.concatenate([alpha, gamma], -1)
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
-        """Return gradient and Hessian of W, divided by `steepness`, and the projector onto cyclic directions, which the Hessian includes."""
+        """Return gradient and Hessian of W over `steepness`, and a projector onto cyclic directions, which is added to the Hessian."""
         body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]
@@ -157,7 +157,7 @@ class Nodes(NamedTuple):
     frames: Array  # rows alpha, beta, gamma in body axes, nan in unused places, (nodes, places, 3, 3)
     morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
     turn: Array  # rotation along the branch per unit of the parameter, (nodes, places, 3)
-    distance: Array  # estimated change of the parameter, with sign, up to a possible merger of the solution, (nodes, places)
+    distance: Array  # estimated change of the parameter, with sign, after which the solution may merge, (nodes, places)
     usable: Mask  # whether all solutions are listed and regular, and the sum of (-1)^index is the Euler characteristic, (nodes,)
 
 
@@ -178,7 +178,7 @@ class Bifurcation(NamedTuple):
 def solutions_at(
     family: BodyFamily, values: Array, stability: bool = False
 ) -> tuple[Nodes, dict[str, NDArray[Any]]]:
-    """Return all solutions at `values`, (nodes,), and the variables of `equilibria_of_bodies`, with STABILITY if `stability` is true."""
+    """Return all solutions at `values`, (nodes,), and the variables of `equilibria_of_bodies`, which include STABILITY if `stability`."""
     points = family.points(values[:, None])
     listed = family.system.equilibria_of_bodies(points, stability=stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
@@ -195,7 +195,7 @@ def solutions_at(
     slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
     turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
-    # To first order, the change -root of the parameter makes an eigenvalue of a real solution 0, or the solutions of a complex pair equal.
+    # If the parameter changes by -root, to first order an eigenvalue of a real solution becomes 0, or the solutions of a complex pair meet.
     with np.errstate(all="ignore"):
         roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
@@ -207,7 +207,7 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    # With both symmetries of `family` there is no test. Circles add 0 to the sum, and the two solutions with a vertical axis add 1 each.
+    # A family with both symmetries is not tested. To the sum below circles would add 0, and the two solutions with a vertical axis 1 each.
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
@@ -236,7 +236,7 @@ def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places)
 
 
 def unambiguous_matches(errors: Array) -> Places:
-    """Return the column of each row's least error, (N, rows), or -1 unless this error is small and far below others in row and column."""
+    """Return the column of each row's least error, or -1 unless this error is small and far below all others in its row and column."""
     choice, least = errors.argmin(2), errors.min(2)
     in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
     rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))
@@ -363,7 +363,7 @@ def links_of(pairs: Places, follower: Places) -> Places:
 
 
 def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
-    """Number branches in the order of their lowest values. Return the branch of each solution (-1 if none) and the number of branches."""
+    """Number branches by the lowest parameter on each. Return the branch of each solution (-1 if none) and the number of branches."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

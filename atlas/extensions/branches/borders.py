@@ -1,4 +1,4 @@
-"""Borders of relative equilibria over two parameters, as datasets of the vertices and special points of curves."""
+"""Borders over two parameters at which relative equilibria merge or change stability, as datasets of vertices and special points."""
 
 from __future__ import annotations
 
@@ -79,13 +79,13 @@ class Borders(NamedTuple):
     lines: list[Curve]
     # Each side of a curve has a Morse index. This is the lower index of the two, on the segment after each vertex, (vertices,).
     morse_index: NDArray[np.int64]
-    changes: Array  # change of the numbers of all and of stable solutions from the right of the curve to the left, (2, vertices)
+    changes: Array  # numbers of solutions and of stable solutions left of the curve, minus those on the right, (2, vertices)
     axis: Array  # positions along each side of the grid on which equilibria are counted
     cells: NDArray[np.int8]
 
     @classmethod
     def of(cls, plane: Plane, stability: bool = False) -> Borders:
-        """Return the borders of the bodies on a plane, and limits of stability if `stability` is true. Raise BadInput if there are none."""
+        """Return the borders on a plane, with limits of stability if `stability`. Raise BadInput if borders cannot be computed."""
         system = plane.scene.system
         if not isinstance(system, Gyrostat):
             raise BadInput(f"borders: of the {system.name} no relative equilibria are known")
@@ -128,7 +128,7 @@ class Borders(NamedTuple):
         return np.stack(list(self.plane.coordinates(positions).values()), -1)
 
     def slopes(self, positions: Array, rates: Array) -> Array:
-        """Return the derivatives of the parameters by arc length, (N, 2), where `rates` are the derivatives of the positions."""
+        """Return the derivatives of the parameters by arc length, (N, 2). `rates` are the derivatives of the positions by arc length."""
         values = self.values(positions)
         for i, (dim, (low, high)) in enumerate(self.plane.extent.items()):
             is_log = is_logarithmic(self.plane.scene, dim, (low, high))
@@ -183,8 +183,8 @@ def borders(
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float
-        Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n of the fixed_point, the
-        rate of rotation.
+        Parameter -> number; omitted parameters take their defaults. Of the start values only n of the fixed_point, the rate of
+        rotation, has an effect.
     ranges : mapping of str to sequence of float
         Lowest and highest value of two parameters, or of two other names that `ties` refer to.
     ties : mapping of str to str, optional
@@ -238,7 +238,7 @@ def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
 
 
 def borders_of_plane(plane: Plane, stability: bool = False) -> xr.Dataset:
-    """Return the borders on a plane of the axes of a scene, in the form that `borders` returns."""
+    """Return the borders on a plane whose sides are axes of a scene, in the form that `borders` returns."""
     curves = Borders.of(plane, stability)
     parts = ("vertex", _vertices(curves)), ("special", _special(curves))
     columns = {
@@ -317,7 +317,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
     for column in (0, 1):
 
         def test(points: Degenerate, column: int = column) -> Array:
-            """Return function 0 or 1 of `character`, which is 0 at special points. On limits of stability function 1 is not used."""
+            """Return function `column` in `character`, which is 0 at special points. On limits of stability function 1 is not used."""
             return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
         for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):

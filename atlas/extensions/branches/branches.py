@@ -50,8 +50,8 @@ def branches(
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float
-        Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n of the fixed_point, the
-        rate of rotation.
+        Parameter -> number; omitted parameters take their defaults. Of the start values only n of the fixed_point, the rate of
+        rotation, has an effect.
     along : mapping of str to sequence of float
         Two or more values of one parameter, or of another name that `ties` refer to.
     ties : mapping of str to str, optional
@@ -76,9 +76,9 @@ def branches(
 
     Notes
     -----
-    No branch is missed at a given value. A branch with two folds between two values is found if the tangents at these values do
-    not predict one another. A closed branch between two values is found if complex solutions at one value become real, to
-    first order, before the other value.
+    No branch is missed at a given value. A branch with two folds between two values is found if the tangents at one value do
+    not predict the solutions at the other value. A closed branch between two values is found if complex solutions at one value
+    become real, to first order, before the other value.
     """
     return branches_of_scene(scene_of("branches", system, body, along, ties))
 

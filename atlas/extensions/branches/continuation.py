@@ -28,13 +28,13 @@ _ILLINOIS, _NO_SHARE = 14, 1e-15
 _ITERATIONS = 10  # number of iterations of least squares where the equations are singular
 _MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic that ends at the vertex errs by less than 1e-6
 _ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
-_SETTLED = 1e-6  # largest last step of Newton's method; its square is about the remaining error
+_SETTLED = 1e-6  # largest allowed last step of Newton's method; the error is about the square of the step
 # The next point is sought among the _NEIGHBOURS points nearest to a vertex. These points are chosen anew after the length _LOOK.
 _NEIGHBOURS, _LOOK = 32, 0.2
 _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exceeds this fraction of the chord
-# Points whose unit null vectors have a smaller scalar product are on different curves, which may be close if moments are nearly equal.
+# Points are on different curves if the scalar product of their unit null vectors is below this. Such curves may be close to each other.
 _SAME_VECTOR = 0.3
-_BACK = 1e-6  # a curve turns back between two vertices if the parameters have rates a and b there with -a.b > _BACK (a.a + b.b)
+_BACK = 1e-6  # a curve turns back between two vertices with the parameter derivatives a and b if -a.b > _BACK (a.a + b.b)
 # A limit of stability that extends over less than this fraction of the range of each parameter is dropped. A vertex of a limit is dropped
 # if an end or another vertex is nearer than this. Near an end the equations of limits are nearly singular.
 _SAME_END = 2e-5
@@ -47,7 +47,7 @@ class Piece(NamedTuple):
     length: float
     first: int  # number of the first end; start point i has the end 2 i ahead and the end 2 i + 1 behind
     last: int  # number of the last end; -1 is a side of the box, and -2 means that the curve is lost
-    mirrored: bool  # whether the piece leads to the mirror image of the start point that has the end `last`
+    mirrored: bool  # whether the piece ends at the mirror image of the start point to which `last` belongs
     unknowns: Array  # unknowns of the vertices, (vertices, unknowns)
     tangents: Array
 
@@ -117,7 +117,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
 
 
 def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
-    """Whether seeds `near[i]` have the kind and null vector of point i. Limits have no null vector. Mirror images come after all seeds."""
+    """Whether seeds `near[i]` have the kind and null vector of point i. Limits have no null vector. Mirror images are numbered last."""
     count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
     vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
     same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
@@ -125,13 +125,13 @@ def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Ma
 
 
 def _along_and_across(gap: Array, along: Array) -> tuple[Array, Array]:
-    """Return the components of vectors along unit tangents, and the squared distances of the vectors from the tangents."""
+    """Return the components of vectors along unit tangents, and the squared lengths of the components normal to the tangents."""
     ahead = np.einsum("nki,ni->nk", gap, along)
     return ahead, (gap**2).sum(-1) - ahead**2
 
 
 def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
-    """Return the indices of the _NEIGHBOURS nearest targets, or of all targets, for each place."""
+    """Return for each place the indices of the nearest targets, at most _NEIGHBOURS of them."""
     distance = (targets**2).sum(1) - 2 * place @ targets.T
     return np.argpartition(distance, min(_NEIGHBOURS, len(targets)) - 1, axis=1)[:, :_NEIGHBOURS]
 
@@ -175,7 +175,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             break
         now, t = points.take(active), tangents[active]
         along, place = _of_place(now, t), now.place
-        with np.errstate(all="ignore"):  # distance along the tangent to the side of the box, for each axis
+        with np.errstate(all="ignore"):  # distance to the side of the box along the tangent, for each axis
             gaps = np.maximum(np.where(along > 0, 1 - place, -place) / along, 0)[:, -3:-1]
         gaps[along[:, -3:-1] == 0] = np.inf
         side, arc = gaps.argmin(1), step[active]
@@ -188,7 +188,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # not if a target is on the side
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # false if a target is on the boundary
         meets = (to_target <= 1.2 * arc) & ~leaves  # no step ends just before a target
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
@@ -207,7 +207,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         accepted &= (sign == orientation[active]) | (
             arc < np.where(now.limit, _CROSSING_OF_LIMITS, _CROSSING)
         )
-        first = ~bend[active].any(1)  # the prediction is of lower order on the first step from an end
+        first = ~bend[active].any(1)  # on the first step of a piece the prediction is of lower order
         missed = np.where(first, 0.0, length(new.place - start.place))
         accepted &= missed < 3 * _MISSED
         angle = np.arccos(cosine)
@@ -241,7 +241,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
 
 
 def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
-    """Yield the curves that consist of pieces. `of_end` has each piece under both of its ends."""
+    """Yield the curves that consist of pieces. `of_end` maps both ends of each piece to the piece."""
     flip, left = seeds.potential.mirror(), set(of_end)
     for seed in sorted({end // 2 for end in of_end}):
         if not left & {2 * seed, 2 * seed + 1}:
@@ -289,7 +289,7 @@ class Segments(NamedTuple):
     vertex: NDArray[np.int64]  # number of the vertex at which the segment begins
     start: Degenerate
     end: Degenerate
-    slopes: tuple[Array, Array]  # derivatives of the unknowns by the fraction of the segment, at both ends
+    slopes: tuple[Array, Array]  # derivatives of the unknowns, at start and end, by a variable from 0 to 1
 
     @classmethod
     def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
@@ -378,7 +378,7 @@ def with_zeros(
     for iteration in range(_ILLINOIS if share.size else 0):
         before, share = share, high - at_high * (high - low) / (at_high - at_low)
         if iteration and (np.abs(share - before) < _NO_SHARE).all():
-            break  # not in the first iteration, in which the secant may by chance give the initial `share` 0.5
+            break  # the first iteration never ends the loop, because the secant may give the initial `share` 0.5 by chance
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
@@ -388,7 +388,7 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Return curves with vertices added where limits of stability turn back. At a pitchfork a limit turns back into its mirror image."""
+    """Return curves with a vertex wherever a limit of stability turns back. A turn at a pitchfork leads to the limit's mirror image."""
     if not lines:
         return []
     every = Segments.of(lines)
@@ -401,7 +401,7 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
     parts = Segments.of(lines, chosen)
     chord = (parts.end.unknowns - parts.start.unknowns)[:, -3:-1]
     a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
-    middle = 2 * a + b - 3 * c  # at `share` the rate of the cubic has no component along `back`
+    middle = 2 * a + b - 3 * c  # at `share` the derivative of the parameters is normal to `back`
     share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
     return parts.inserted(lines, share)
 

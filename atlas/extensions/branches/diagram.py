@@ -157,7 +157,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
     same = np.diff(ds["curve"].values) == 0
     cuts = np.flatnonzero(np.r_[True, ~same, True] | np.r_[True, np.diff(style) != 0, True])
     lines: dict[int, list[Path]] = {}
-    # Each line joins successive vertices of the same style on one curve, and ends at the next vertex of this curve.
+    # A line joins successive vertices of one style on one curve, and the first vertex of the next style on this curve, if any.
     for start, end in pairwise(cuts.tolist()):
         end -= end == len(style) or not same[end - 1]
         if end > start:
@@ -183,7 +183,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
 
 
 def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np.ndarray]]:
-    """Return smooth lines (parameter, value), or lines of unit vectors, by stability. Lines end where a branch ends or changes stability."""
+    """Return smooth lines for each stability flag, with points (parameter, value) or unit vectors. Lines end where the flag changes."""
     every, of_folds = ds[variable].values, ds.get(f"fold_{variable}")
     folds = np.full((ds.sizes["fold"], *every.shape[2:]), np.nan) if of_folds is None else of_folds.values
     lines: dict[int, list[np.ndarray]] = {}
@@ -199,7 +199,7 @@ def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np
         if order.size < 2:
             continue
         segment = np.where(flag[:-1] >= 0, flag[:-1], flag[1:])
-        if variable in ("psi0", "phi0"):  # no line is drawn across a jump
+        if variable in ("psi0", "phi0"):  # no line is drawn across a jump of the angle
             segment[np.abs(np.diff(value)) > 0.9 * np.pi] = -1
         fine = smooth(position, value, turns[order[0]], turns[order[-1]])
         for part in np.split(np.arange(segment.size), np.flatnonzero(np.diff(segment)) + 1):

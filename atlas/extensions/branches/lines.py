@@ -23,14 +23,14 @@ from .starts import Cell
 
 CHANGE = "change of the number"
 COUNT_TRISECTIONS = 4  # number of trisections between two neighbouring points of the atlas
-# The number of minima changes only at mergers with a minimum. The number of stable equilibria also changes at limits of stability.
+# The number of minima changes only where a minimum meets another equilibrium. The stable count also changes at limits of stability.
 MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
 MANY_COUNTS = 300  # tracing more vertices takes more than a second and is announced
 BETWEEN = 6  # number of straight parts that replace a cubic of a border, with errors below 1e-5 of the plane's sides
 
 
 def count_lines(count: str, plane: Plane, ds: xr.Dataset) -> Lines:
-    """Return the lines at which a count of equilibria changes. If the atlas lacks the count, return the borders of motions."""
+    """Return the lines at which a count of equilibria changes. If the atlas lacks the count, return lines that theory predicts."""
     if count not in ds:
         return borders(plane)
     counts = ds[count].transpose(*plane.extent)

@@ -35,7 +35,7 @@ from ..equilibria.algebra import body_at_rest
 
 # The number of nodes grows until the last Chebyshev terms are below `_RESOLVED`. Terms below `_NO_TERM` are dropped.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
-_DAMPING = 1e-14  # damping of least squares, as a fraction of the trace
+_DAMPING = 1e-14  # damping of least squares, as a fraction of the trace of the normal matrix
 _WEIGHT = 100.0  # In least squares, multipliers and null vectors may change by this factor more than critical points.
 _MAX_TURN = 0.3  # longest step of Newton's method: angles are in rad, positions are fractions of the box
 # A start is dropped if step `_ITERATIONS` of Newton's method exceeds `_NEAR`, which is large because pitchforks converge slowly.
@@ -45,11 +45,11 @@ _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # The constant term of a characteristic polynomial counts as 0 below this fraction of the largest coefficient.
 # Discriminants below this fraction of the sum of their terms' sizes count as 0, because two exponents may be equal on a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
-# Solutions beside a pitchfork are compared at the distance `_BESIDE` and found in `_STEPS_BESIDE` steps of Newton's method. Extrema
-# of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
+# `_STEPS_BESIDE` steps of Newton's method find solutions at the distance `_BESIDE` from a pitchfork, to count the stable ones.
+# Extrema of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # number of Newton steps that move a point onto a side of the box
-# A vector x consists of two (`FRAMES`) or three (`TRIADS`) unit vectors d_i. A matrix E gives the product x.E x = d_i.d_i or 2 d_i.d_j.
+# A vector x consists of two (`FRAMES`) or three (`TRIADS`) unit vectors d_i. For a matrix E in these arrays, x.E x is d_i.d_i or 2 d_i.d_j.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -134,7 +134,7 @@ class Potential(NamedTuple):
         return self.forms.shape[1]
 
     def at(self, positions: Array) -> Array:
-        """Return an array (3, 2, N, n). Axis 0 has values and derivatives by both parameters. Axis 1 has Q and c of x.Q x / 2 + c.x."""
+        """Return Q and c of x.Q x / 2 + c.x, and the derivatives of Q and c by both parameters, (3, 2, N, n). Axis 1 separates Q from c."""
         values = _values(self.terms, positions)
         return np.moveaxis(values.reshape(3, len(positions), 2, self.size), 2, 1)
 
@@ -187,7 +187,7 @@ class Potential(NamedTuple):
         return values, slopes
 
     def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
-        """Return numbers (N, 4), all positive if exponents are imaginary and different. Where `left_out`, a pair of zeros is ignored."""
+        """Return numbers (N, 4), all positive if exponents are imaginary and different. Where `left_out`, two exponents 0 are ignored."""
         c = coefficients.copy()
         # Symmetries about gamma and a body axis make two pairs of exponents 0, but only one pair if gamma is along this axis.
         if self.size == 2:
@@ -203,7 +203,7 @@ class Potential(NamedTuple):
         return np.where(degree[:, None] > [0, 1, 2, 1], conditions, 1.0)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Return the gradients B of the conditions on x, and (B B^T)^-1 B, which maps a gradient to minus its multipliers."""
+        """Return the gradients B of the conditions on x, and M = (B B^T)^-1 B. Multipliers are minus the product of M and a gradient."""
         B = np.einsum("kij,nj->nki", self.forms, x)
         return B, _solved(B @ np.swapaxes(B, 1, 2), B)
 
@@ -274,14 +274,14 @@ def _hessian(d: Array, q: Array, c: Array) -> Array:
 
 
 def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
-    """Return the derivative by d of the trace of K times `_hessian`, for each symmetric matrix K, (N, matrices, 3)."""
+    """Return the derivative by d of trace(K H) for each symmetric matrix K, (N, matrices, 3). H is the result of `_hessian`."""
     rest = K - np.einsum("njii->nj", K)[..., None, None] * np.eye(3)
     tilt = 2 * _polar(K, q[:, None, :, None] * np.eye(3)) + q[:, None, :, None] * rest
     return np.einsum("njik,nk->nji", tilt, d) + np.einsum("njik,nk->nji", rest, q * d + c)
 
 
 def _linear(body: Body) -> Array:
-    """Return inertia I, rotor, frame rate times (2 I - tr I), then Q and c of alpha, beta and gamma, (bodies, 27). Bodies share units."""
+    """Return inertia I, rotor, frame rate times (2 I - tr I), and Q and c for each of alpha, beta, gamma, (bodies, 27), in common units."""
     square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max()) or 1.0
     I, rate = body.inertia, np.sqrt(square)
     alpha, gamma = body.amended()
@@ -340,7 +340,6 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[Degenerate]) -> Degenerate:
-        """Join the points of one or more objects."""
         return cls(
             parts[0].potential,
             *(np.concatenate(each) for each in zip(*(part[1:] for part in parts), strict=True)),
@@ -408,7 +407,7 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Return the first of `matrices`. Return also the parameter derivatives of the potential's gradient and of the solution (x, l)."""
+        """Return the matrix D of `matrices`. Return also how the parameters change the potential's gradient and the solution (x, l)."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
@@ -420,7 +419,7 @@ class Degenerate(NamedTuple):
         return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved[:, :n])
 
     def margins(self) -> Array:
-        """Return numbers (N, 4) that are all positive where all exponents that are not 0 are imaginary."""
+        """Return four numbers for each point, (N, 4). They are all positive where every nonzero exponent is imaginary."""
         x, _, _, _, position, _ = self.parts
         coefficients, _ = self.potential.characteristic(x, position)
         left_out = self.pitchfork | self.limit | (not self.potential.cyclic)
@@ -498,8 +497,8 @@ class Degenerate(NamedTuple):
     def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
         """Find where the curves meet hyperplanes. Each hyperplane contains one of these points and has the normal `row`.
 
-        The results are the points, the size of the last steps, unit tangents, and orientations. The orientation is the sign of the
-        determinant of the equations with the row, which changes along a curve only at crossings.
+        The results are the points, the size of the last steps, unit tangents, and orientations. The equations' derivatives and `row`
+        form a square matrix. The sign of the determinant is the orientation. This sign changes along a curve only at crossings.
         """
         points = self
         for _ in range(iterations):
@@ -518,7 +517,7 @@ class Degenerate(NamedTuple):
         return np.linalg.cond(np.concatenate([self.equations()[1], rows[:, None]], 1), 1)
 
     def onto_sides(self) -> tuple[Degenerate, Array]:
-        """Find points of the curves on the sides of the box, from points outside. Return also the size of the last steps."""
+        """Move points outside the box to points of their curves on the sides of the box. Return also the size of the last steps."""
         nearest, row = np.clip(self.parts[4], 0, 1), np.zeros_like(self.unknowns)
         row[:, -3:-1] = np.sign(self.parts[4] - nearest)
         points = self._replace(unknowns=self.unknowns.copy())
@@ -554,7 +553,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Return unknowns where, to first order, a degenerate point is within `reach` of `position`. The mask `solves` marks solutions."""
+        """Return start values where, to first order, a degenerate point is within `reach` of `position`. `solves` marks solutions `x`."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -584,7 +583,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
-        """Return unknowns at solutions within `reach`, to first order, of a limit of stability. All exponents are imaginary there."""
+        """Return solutions that are, to first order, within `reach` of a limit of stability at which all exponents are imaginary."""
         now, *_ = potential.at(position)
         _, onto = potential.constraints(x)
         l = -np.einsum("nki,ni->nk", onto, now[0] * x + now[1])
@@ -641,7 +640,8 @@ class Degenerate(NamedTuple):
         On folds the first function is the potential's third derivative along the null vector, which is 0 at cusps. The second is 1. On
         pitchforks the first is the product of the other eigenvalues, and the second is this product times the fourth derivative. On
         limits of stability the first is P''(s) of the characteristic polynomial P, which is 0 at cusps, or -1 if the momentum is extremal.
-        The second is the product of the eigenvalues. The covector (N, 2) points to more solutions, or on limits to more stable solutions.
+        The second is the product of the eigenvalues. The covector (N, 2) points to the side with more solutions. On limits it points to
+        the side with a larger number of stable solutions.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]

@@ -20,11 +20,11 @@ from .singular import BorderKind, Degenerate, Potential
 # of the potential's linear term c is 0 are traced on a grid of `_CONTOUR`^2 points.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
 _ZERO = 1e-20  # replaces zeros of c, because a fold with c_i = 0 is the limit of folds with small c_i
-_ON_SPHERE = 8  # steps of Newton's method
+_ON_SPHERE = 8  # steps of Newton's method to the nearest point of a curve
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
 CELLS = 13  # cells of the coarse grid along each axis; odd, because bodies in the middle are often symmetric
-_RIM = 0.004  # distance of the outermost lines from the sides of the box, where bodies are often symmetric
-# Distance from the middle to one more grid line. The line separates mirrored curves with opposite changes of the number of equilibria.
+_RIM = 0.004  # distance of lines from the sides of the box, because bodies on the sides are often symmetric
+# One more grid line is at this distance from the middle of an axis. Without this line, changes of counts across mirrored curves cancel.
 _BESIDE_MIDDLE = 5e-4
 REACH = 2.0  # Curves are sought from an equilibrium up to this distance, in cells.
 # If curves do not explain the counts of equilibria at two nodes, `_BETWEEN` points between the nodes are tried in up to `_SEARCHES` rounds.
@@ -64,7 +64,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
 
     def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-        """Return log F(L), L, d and b, see `on_sphere`. Rows of L have minima of F between poles, or poles d_i whose b_i is always 0."""
+        """Return log F(L), L, d and b of `on_sphere`. A row of L has minima of F between two poles, or poles d_i if b_i is always 0."""
         d, b = np.moveaxis(potential.at(position)[0], -1, 1)
         b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
         b[absent] = 0.0
@@ -100,11 +100,11 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Return unknowns near degenerate solutions, unknowns near limits of stability, and numbers of solutions.
+    """Return start values for degenerate solutions, start values for limits of stability, and numbers of solutions.
 
-    Unknowns are returned only where, to first order, a degenerate solution or a limit is within `reach` of a position. Attitudes near
-    complex solutions also give unknowns near degenerate solutions. Row 0 of the numbers, (2, bodies), counts all solutions. Row 1
-    counts stable solutions. Numbers that are not certain are nan.
+    There are start values only where, to first order, a degenerate solution or a limit is within `reach` of a position. Those for
+    degenerate solutions come from solutions or from attitudes near complex solutions. Row 0 of the numbers, (2, bodies), counts all
+    solutions. Row 1 counts stable solutions. Numbers that are not certain are nan.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -135,7 +135,7 @@ def near_solutions(
 def all_curves(
     system: Gyrostat, potential: Potential, points: Callable[[Array], Points], stability: bool
 ) -> tuple[list[Curve], Array, NDArray[np.int8]]:
-    """Return the curves of bodies over two parameters, the axis of a coarse grid, and a value of `Cell` for each of its cells.
+    """Return curves of degenerate solutions over two parameters, the axis of a coarse grid, and a value of `Cell` for each grid cell.
 
     Limits of stability are found only with `stability`. The numbers of equilibria and of stable equilibria may differ between two
     neighbouring corners of the grid. If the curves do not explain a difference, more curves are sought from points between the corners.
@@ -227,7 +227,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
     Row 0 of the differences, (2, segments), counts all solutions, and row 1 counts stable solutions.
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
-    # Pitchforks are moved onto the curve, because beside the curve the side with more solutions may be wrong.
+    # Pitchforks are moved onto the curve. At points beside the curve, the wrong side may be found to have more solutions.
     fork = middle.pitchfork
     middle.unknowns[fork] = middle.take(fork).nearest(1)[0].unknowns
     index, _, covector = middle.character()

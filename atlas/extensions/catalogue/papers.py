@@ -1,7 +1,7 @@
-"""Equations of papers, as printed and as true, with their residuals in the equations of motion.
+"""Equations of papers in two readings, printed and true, with the residuals of both readings in the equations of motion.
 
-Each paper is an extension. Its file `equations.toml` contains the texts of the equations and, where possible, both readings as
-expressions. Its `MEASURES` map the number of an equation, or a key of an entry in this file, to the function that measures it.
+Each paper is an extension. The file `equations.toml` contains the texts of the equations and, where possible, both readings as
+expressions. `MEASURES` maps the number of an equation, or a key of an entry in this file, to the function that measures residuals.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callab
 def rows(
     content: Mapping[str, Any], measures: Mapping[str, EntryMeasure | None]
 ) -> tuple[PublishedEquation, ...]:
-    """Return the catalogue of a paper. `measures` maps numbers or keys to functions, or to None if an extension is missing."""
+    """Return a paper's catalogue. `measures` maps an entry's number or key to a function, or to None if the key's extension is missing."""
     made = []
     for entry in content["equation"]:
         key = next((key for key in measures if key == entry["number"] or key in entry), "")

@@ -35,7 +35,7 @@ class Direction(NamedTuple):
 
 
 class GyrostatBody(NamedTuple):
-    """A gyrostat and the potential in its frame, as numbers. `gyrostat.body.Body` contains the same as arrays."""
+    """One gyrostat and its potential, as numbers. `gyrostat.body.Body` contains the same quantities as arrays."""
 
     inertia: Vector
     rotor: Vector
@@ -56,9 +56,9 @@ class Bounds(NamedTuple):
 
     least_sine: float
     largest_sine: float
-    theta_dot: float  # upper bound of the magnitude
-    psi_dot: float  # centre of the range
-    psi_width: float  # half the width of the range
+    theta_dot: float  # upper bound of |theta'|
+    psi_dot: float  # centre of the range of psi'
+    psi_width: float  # half the width of the range of psi'
     phi_dot: float
     phi_width: float
     normal_rate: float  # half the width of the range of the rate about the vertical
@@ -87,7 +87,7 @@ def largest_deviation(bounds, tolerances):
 
 
 def label_of(bounds, deviation, tolerances, frame_rate):
-    """Return the label that `bounds` imply for every duration, or 0. A mean rate lies in the range of the rate."""
+    """Return the label that `bounds` imply, or NOT_COMPUTED. The label holds for every duration, because the bounds contain mean rates."""
     rate = tolerances.rate * (1 - KEPT)
     if not deviation <= rate:
         return Label.NOT_COMPUTED

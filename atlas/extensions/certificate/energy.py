@@ -39,7 +39,7 @@ SWEEPS = 6  # largest number of sweeps of Jacobi's method
 
 
 def in_space(body, w, gamma):
-    """Return bounds of a motion near a rotation about the vertical, for a body with a fixed point. With damping the frame is at rest."""
+    """Return bounds of a motion near a rotation at a rate n about the vertical, for a body with a fixed point. With damping n is 0."""
     inertia, rotor, z = body.inertia, body.rotor, gamma
     momentum = dot(plus(times(inertia, w), rotor), z)
     n = dot(times(inertia, w), z) / dot(times(inertia, z), z)
@@ -48,7 +48,7 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        # Newton's method finds the rate n at which a body at rest at z has the start's momentum. With this n the bound is sharpest.
+        # Newton's method finds the permanent rotation with the initial momentum about the vertical. The rate n gives the sharpest bound.
         if step < 2:
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
@@ -85,7 +85,7 @@ def symmetric(body, w, alpha, gamma):
 
 
 def upright(body, w, alpha, gamma):
-    """Return bounds near theta = 0 or pi for axial rotor and field. With x = 1 - |cos(theta)|, W rises by at least a x - b x^2 / 2."""
+    """Return `Bounds` near theta = 0 or pi for axial rotor and field. With x = 1 - |cos(theta)|, W rises by at least a x - b x^2 / 2."""
     radius, normal = amended(body)
     across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
@@ -105,7 +105,7 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Return bounds near a minimum of W. A turn by d raises W by at least `least` d^2 / 2 - M d^3 / 6 - `slope` d, where M >= |W'''|."""
+    """Return `Bounds` near a minimum of W. A turn by d raises W by at least `least` d^2 / 2 - M d^3 / 6 - `slope` d, where M >= |W'''|."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
@@ -184,7 +184,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """Return an upper bound of the energy minus W(a, g). The bound allows for rounding errors. Also return their scale `size`."""
+    """Return an upper bound of the difference energy - W(a, g), and `size`. The bound allows for rounding errors relative to `size`."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -217,7 +217,8 @@ def on_sphere(Q, c, start, z, square, size):
     """Return the nutation angle of z, and bounds for all time of the angle between x and z and of twice the relative kinetic energy.
 
     The unit vector x moves from `start` near a minimum z of W(x) = x.Q x / 2 + c.x. At the start twice the energy is `square`. If
-    Q z + c = L z, then W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If Q > L, the difference is positive. Near z a polynomial is below W(x).
+    Q z + c = L z, then W(x) - W(z) = (x - z).(Q - L)(x - z) / 2. If all Q_i > L, the difference is positive. Near z the difference
+    exceeds a polynomial of |x - z|.
     """
     curved, offset = times(Q, z), minus(start, z)
     slope = plus(curved, c)
@@ -252,7 +253,7 @@ def minimum(Q, c, z):
 
 
 def solved(Q, c, z, vector):
-    """Multiply a vector by the inverse Hessian on the sphere. `size` times the identity replaces a Hessian that is not positive."""
+    """Multiply a vector by the inverse Hessian of z.Q z / 2 + c.z on the unit sphere, or by 1 / `size` if the Hessian is not positive."""
     first, second = across_axes(z)
     v1, v2 = dot(first, vector), dot(second, vector)
     size = greatest(magnitude(Q)) + length(c)

@@ -42,7 +42,7 @@ def prove_in_space(body, w, gamma, is_axial, tolerances):
 
 
 def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
-    """Return what can be proved for a body in a frame with the directions alpha and gamma."""
+    """Return the labels that can be proved for a body in a frame with the directions alpha and gamma."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
         # No minimum is isolated, because turns about the axis keep the energy. The other rules need an isolated minimum.
@@ -57,7 +57,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the initial kinetic energy is that of a rate within the tolerance about some axis. If not, the energy proves no label."""
+    """Whether a rotation at a rate within the tolerance can have the initial kinetic energy. If not, the energy proves no label."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 

@@ -1,8 +1,8 @@
 """The symmetric top about a fixed point, whose two momenta leave one degree of freedom.
 
-Let S = C r + l3, K be the momentum about the vertical, and x = cos(theta). Then (A x')^2 = f(x) for a polynomial f of degree 4,
-and x stays in the interval about its start x0 where f >= 0. Rates psi', phi' and the rate about the vertical are functions of x
-alone. In powers of x - x0 the polynomial has no cancellation near the start.
+The momenta are S = C r + l3 about the axis, with the rotor's momentum l3, and K about the vertical. Let x = cos(theta). Then
+(A x')^2 = f(x) for a polynomial f of degree 4, and x stays in the interval around the start x0 in which f >= 0. The rates psi' and
+phi' and the rate about the vertical are functions of x alone. In powers of x - x0 the terms of f do not cancel near the start.
 """
 
 from __future__ import annotations

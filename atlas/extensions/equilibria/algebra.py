@@ -50,9 +50,9 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     `points` maps every parameter to an array (1,), and start values are ignored. The methods are those of `equilibria_of_bodies`.
     Scalar results have the shape (E,). They are theta0, psi0, phi0 (rad), potential (amended), index (Morse index), circle (whether
     the solution stands for a circle of equilibria), degenerate (always False) and `STABILITY`. Vectors in body axes have the shape
-    (E, 3). They are alpha, gamma and the axis of turns along a circle, which is nan for isolated equilibria. BadInput is raised where a
-    surface of orientations is in equilibrium, where the numbers of the body differ too much in magnitude, and where the number
-    of equilibria is not certain.
+    (E, 3). They are alpha, gamma and the axis of the rotations that lead around a circle (nan for isolated equilibria). BadInput is
+    raised where a surface of orientations is in equilibrium, where the numbers of the body differ too much in magnitude, and where the
+    number of equilibria is not certain.
     """
     (flag,), _, columns = _at_once(system, points, stability=True, ordered=False)
     if flag == Completeness.NOT_LISTED:
@@ -348,7 +348,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
 
 
 def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Return the Morse index, the axis of turns along a circle of equilibria (or nan), and whether the equilibrium is degenerate."""
+    """Return Morse indices, axes of rotations that lead around circles of equilibria (or nan), and whether equilibria are degenerate."""
     values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _MISSED * scale
     if ((np.abs(values) < _FLAT * scale).sum(1) > 1).any():
@@ -356,7 +356,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
             "equilibria: this body has a surface of equilibria, not single ones or circles of them"
         )
     axis = np.take_along_axis(vectors, np.abs(values).argmin(1)[:, None, None], 2)[..., 0]
-    # A symmetry turns an equilibrium along a circle, about an axis of the body or about the normal.
+    # Rotations about a symmetry axis of the body, or about gamma, lead around a circle of equilibria.
     turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
     circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ON_CIRCLE * scale)

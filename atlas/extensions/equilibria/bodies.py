@@ -36,7 +36,7 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]] | None:
-    """Return equilibria of many bodies, see `algebra.equilibria_of_bodies`. About a fixed point, `pause` and `stability` have no effect."""
+    """Return equilibria of many bodies as `algebra.equilibria_of_bodies` does. For `FixedPoint`, `pause` and `stability` have no effect."""
     if isinstance(system, FixedPoint):
         return rotations.rotations_of_bodies(system, _without_vectors(points), ordered)
     if isinstance(system, Gyrostat):
@@ -45,7 +45,7 @@ def equilibria_of_bodies(
 
 
 def bodies_of(system: System, points: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Return the parameters of the distinct bodies of points, and for each point the index of the body. The start has default values."""
+    """Return the parameters of the distinct bodies of points, and the index of each point's body. Start parameters have their defaults."""
     names = [name for name, p in system.parameters.items() if not p.start]
     columns = np.stack([points[name] for name in names], -1)
     key = np.where(np.isnan(columns), -np.inf, columns)  # because nan is not equal to nan

@@ -77,9 +77,9 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         Dimension "equilibrium"; a circle of equilibria is listed once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
         stable, energy_stable, stability_kind (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the
-        satellite also alpha, axis, degenerate and potential; for the fixed_point also dimension. Satellites are ordered by the
-        potential, then by the components of alpha and gamma (on a circle, by their means). Rotations of the fixed_point are
-        ordered by theta0.
+        satellite also alpha, axis, degenerate and potential; for the fixed_point also dimension. Equilibria of the satellite are
+        ordered by the potential, then by the components of alpha and gamma (for a circle, by the means of these components).
+        Rotations of the fixed_point are ordered by theta0.
 
         For many bodies the variables have the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
         "equilibrium". Each body uses the first places. In unused places index is -1, and variables other than flags are nan.

@@ -9,10 +9,10 @@ For p = r = q = 0 and distinct moments, real or complex, the critical points are
 along the axes of the frame. The moments I0 of the start are complex and arbitrary. While (I, p, r, q) goes along a straight line
 from (I0, 0, 0, 0) to the body, the path of each orientation is followed. For almost every I0 no two paths meet before the end,
 and the ends are all isolated complex equilibria (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of
-Polynomials, World Scientific 2005, chapters 7 and 8). For general p, r and q there are 24 solutions as well. In a quaternion W is
-a quartic form with 40 eigenvectors (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942). Of these
-eigenvectors 16 are isotropic and no rotations (`tests/extensions/equilibria/test_satellite_equilibria.py`). The real
-ends are the equilibria of the body. If 24 different ends are reached, none is missed.
+Polynomials, World Scientific 2005, chapters 7 and 8). For general p, r and q there are 24 solutions as well. As a function of a
+quaternion, W is a quartic form with 40 eigenvectors (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942). Of these
+eigenvectors 16 are isotropic and no rotations (`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ends are the
+equilibria of the body. If 24 different ends are reached, no equilibrium is missed.
 
 Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., without conjugation. Arrays are (3, paths).
 """
@@ -36,12 +36,12 @@ AXES = np.eye(3)
 # With these arbitrary moments the paths need few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
 # Each attempt has a largest correction by Newton's method (rad, summed over the axes), a largest step, and a number of iterations at
-# the end. Later attempts are for bodies with a lost path, or with two equal ends, because one path has jumped to another path. They
-# iterate more often, because near a bifurcation each iteration only halves the error.
+# the end. Later attempts are for bodies with a lost path or with two equal ends. Ends are equal if a path has jumped to another path.
+# Later attempts have more iterations, because near a bifurcation each iteration only halves the error.
 _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 # Steps may become short, because paths near a symmetric body turn sharply where 1 - t is as small as the distance from symmetry.
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
-# A path goes to infinity if a component exceeds `_FAR` at t > `_FAR_FROM`. The body then has fewer than 24 solutions.
+# A path goes to infinity if alpha or gamma exceeds `_FAR` near the end t = 1, at t > `_FAR_FROM`. The body then has fewer solutions.
 _FAR, _FAR_FROM = 100.0, 0.99
 _STRIDE = 5  # `_ends_of_neighbours` follows paths for one body out of this many.
 _GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at the end of a path
@@ -89,13 +89,13 @@ def solve(
 
 
 def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """Return alpha and gamma at the ends of the paths, or nan at infinity, (6, 24, bodies), and whether all paths of a body arrive."""
+    """Return alpha and gamma at the ends of paths, (6, 24, bodies), or nan at infinity. Return also whether all paths of a body arrive."""
     count = target[0].shape[1]
     # The second half of the 24 rotations that permute the axes has -alpha instead of alpha.
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
     alpha, gamma = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
     starts = np.concatenate([alpha, -alpha], 1), np.concatenate([gamma, gamma], 1)
-    # Without p and r the solutions come in pairs +-alpha, +-beta, and only one solution of each pair is followed.
+    # Without p and r, a solution with alpha and beta has a partner with -alpha and -beta. Only one solution of each pair is followed.
     mirrored = not (target[1].any() or target[2].any())
     paths = PATHS // 2 if mirrored else PATHS
     repeated = [np.repeat(values[:, None], paths, 1).reshape(3, -1) for values in target]
@@ -108,7 +108,7 @@ def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """Do the same as `_ends`, but follow paths for every `_STRIDE`-th body only. The ends start Newton's method for other bodies.
+    """Do the same as `_ends`, but follow paths for every `_STRIDE`-th body only. Newton's method starts at ends of the nearest such body.
 
     Bodies have at most 24 solutions, so that 24 different results are complete wherever Newton's method starts.
     """
@@ -186,7 +186,6 @@ def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> t
 
 
 def _size(xi: Three) -> Array:
-    """Return the sum of the magnitudes of three components."""
     return np.abs(xi[0]) + np.abs(xi[1]) + np.abs(xi[2])
 
 

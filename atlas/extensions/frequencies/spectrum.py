@@ -1,8 +1,8 @@
 """Frequencies of one motion, which are the strongest lines in the spectra of its angles.
 
 The method is numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R). The maximum of the
-windowed Fourier integral gives a frequency with an error far below the spacing of a discrete Fourier transform. All lines so far
-are fitted together, and the next line is found in the residual. Packages for this method have restrictive licences and are not used.
+windowed Fourier integral gives a frequency with an error far below the spacing of a discrete Fourier transform. All lines found so far are
+fitted together, and the next line is found in the residual. Packages for this method have restrictive licences and are not used.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        # A line that is too fast for the samples appears at another frequency, or as a constant. The ratio of the amplitudes in
-        # derivative and signal is i times the true frequency. Weak lines are not checked.
+        # A line that is too fast for the samples appears at another frequency, or as a constant. The amplitude of a line in the
+        # derivative is the amplitude in the signal times i times the true frequency. Weak lines are not checked.
         candidates = [*line_frequencies, 0.0]
         fitted, slopes = (_fit(time, each, candidates, weight, real)[0] for each in (signal, slope))
         strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()
@@ -149,7 +149,7 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
 
 
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
-    """Return the signals of a motion by name, from theta, psi and phi or the observables, with their time derivatives."""
+    """Return by name each signal of a motion and its time derivative. Signals are observables, or functions of theta, psi and phi."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
         # Each state is moved backward and forward by a short step of time. Central differences then give the time derivatives.
@@ -182,7 +182,7 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
     """Find the frequencies w (rad per unit of time) and amplitudes c of a sum of c exp(i w t), in the order of extraction.
 
-    There are fewer than `count` lines if the residual is rounding. A `real` signal has w >= 0 and amplitudes of cosines.
+    Fewer than `count` frequencies are found if only rounding errors remain. If `real` is true, w >= 0 and c are amplitudes of cosines.
     """
     weight = hann(time.size)
     weight /= weight.sum()
@@ -199,10 +199,10 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
             break
         frequencies.append(_refine(time, residual * weight, grid[highest], grid[1]))
         coefficients, residual = _fit(time, signal, frequencies, weight, real)
-        # Lines shift each other's maxima, so that each line is refined again after the other lines are subtracted.
+        # Lines shift each other's maxima. Each line is therefore refined again after the other lines are subtracted.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
-                half = coefficients[[i]] / (2 if real else 1)  # one of the two waves of a real line
+                half = coefficients[[i]] / (2 if real else 1)  # a cosine has two waves of half its amplitude
                 single = (residual + np.exp(1j * np.outer(time, [frequency])) @ half) * weight
                 frequencies[i] = _refine(time, single, frequency, grid[1])
                 coefficients, residual = _fit(time, signal, frequencies, weight, real)

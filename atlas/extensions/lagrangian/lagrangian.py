@@ -267,7 +267,7 @@ class _Mechanics:
         result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
         if "energy" in balances:
-            energies = []  # A term T of the Lagrangian adds T to the energy if T has degree 2 in v, and -T if T has degree 0.
+            energies = []  # A term T of degree 2 in the velocities adds T to the energy. A term T of degree 0 adds -T.
             for term in terms:
                 momentum = sum(velocity * term.diff(velocity) for velocity in self.velocities)
                 quadratic = momentum != 0 and sympy.expand(momentum - 2 * term) == 0
@@ -419,7 +419,7 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
 
 
 def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
-    """Solve linear equations with a symmetric matrix. The inverse matrix solves two equations, the factors K D K^T solve more."""
+    """Solve linear equations with a symmetric matrix. The inverse matrix solves up to two equations. The factors K D K^T solve more."""
     import sympy
 
     n, given = len(matrix), sympy.Matrix(right_side)

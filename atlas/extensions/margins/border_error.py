@@ -1,4 +1,4 @@
-"""Errors of the borders of a map, from the size of cells, distances to curves of theory, and changes at half the step."""
+"""Errors of a map's borders, measured by cell sizes, distances to curves of theory, and labels that change if the time step is halved."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ...errors import BadInput, attribute_text
 from ...flags import Status
 from ...systems.base import Array, families_of
 
-BORDER = ["first", "second", "curve"]  # flags on the two sides, and kind of the nearest curve of theory
+BORDER = ["first", "second", "curve"]  # flags on both sides of a border, kind of the nearest curve of theory
 # Variable with the dimensions border and axis -> column of the table of pairs of neighbours, and statistic of this column.
 OF_AXES = {
     "pairs": ("half", "count"),
@@ -53,8 +53,6 @@ class BorderError(xr.Dataset):
 
 
 def _about(border: xr.Dataset) -> str:
-    """Return the text about one border."""
-
     def lengths(name: str) -> str:
         of_axes = zip(border[name].values, border["unit"].values, border["axis"].values, strict=True)
         texts = (f"{size:.2g} {unit} in {axis}" for size, unit, axis in of_axes if np.isfinite(size))
@@ -166,7 +164,7 @@ def border_error(
 def _crossings(
     lines: xr.Dataset | None, dim: str, across: Sequence[tuple[str, float]], logs: Collection[str]
 ) -> tuple[Array, np.ndarray]:
-    """Return where lines cross a row of points along `dim`, and the kinds of the lines. `across` gives the other axis and its value."""
+    """Return where lines cross a row of points along `dim`, and the kinds of the lines. `across` has the row's value of any other axis."""
     if lines is None:
         return np.zeros(0), np.zeros(0, str)
     place, kinds = lines[dim].values, lines["kind"].values

@@ -36,7 +36,7 @@ FRAMES |= dict.fromkeys(("label_inertial", "predicted_inertial"), IN_SPACE)
 
 
 class Source(Flag):
-    """How the place of a change is found."""
+    """How the place at which a flag changes is found."""
 
     NOTHING = 0, "nothing changes within the atlas"
     CELLS = 1, "halfway between two neighbouring points"
@@ -60,7 +60,7 @@ def margin(
     degrees : bool, optional
         Take and return angles in degrees.
     **coords : float
-        Axis -> value, as in `nearest`, but distances are measured from the value of `axis`, not from the nearest point.
+        Axis -> value, as in `nearest`. If a value of `axis` is given, margins are measured from this value, not from the nearest point.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def margin(
         places = np.where(np.isnan(curves), places, curves)
     missing = (flags == Label.NOT_COMPUTED) & (variable in LABELS)
     if axis in coords:
-        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # raises BadInput if the value is outside
+        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # raises BadInput for a value outside the axis
         at = np.array(coords[axis] / factor(part[axis].attrs, degrees))
         nearest = int(np.abs(values - at).argmin())
         tied = [name for name, each in line.coords.items() if axis in each.dims and name != axis]
@@ -121,7 +121,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """Return the nearest of `places` below (`side` -1) or above (`side` 1) `value`, or nan. Without `value`, return one for each sample."""
+    """Return the nearest of `places` below (`side` -1) or above (`side` 1) `value`, or nan. If `value` is None, do so for each sample."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:

@@ -3,7 +3,7 @@
 from ...extension import Extension
 
 VARIABLES = ("nonlinear_stability", "birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")
-# A frequency ratio counts as resonant if |l1/l2| differs from 1, 2 or 3 by less than this.
+# The ratio of two frequencies counts as resonant if the ratio's magnitude differs from 1, 2 or 3 by less than RESONANCE_BAND.
 RESONANCE_BAND = 1e-3
 
 EXTENSION = Extension(

@@ -1,4 +1,4 @@
-"""Lines of nonlinear stability, which are resonances and zeros of a determinant D. Regions in which the energy decides have none."""
+"""Resonances and zeros of the normal form's determinant D, as lines on a map, except where the energy proves stability."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def lines(plane: Plane, ds: xr.Dataset) -> Lines:
 
 
 def nonlinear_lines(plane: Plane) -> Lines:
-    """Return resonances and, as DETERMINANT_ZERO, zeros of the determinant D. Regions that the energy proves stable have no lines."""
+    """Return resonances and, as DETERMINANT_ZERO, zeros of the normal form's determinant D, except where the energy proves stability."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     columns = plane.derived(coordinates, (_VERDICT, _DETERMINANT))
     shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)
 
     def determinant(positions: Array) -> Array:
-        """Return the determinant D at positions, which are fractional indices of the lattice."""
+        """Return the determinant D of the normal form at positions, which are fractional indices of the lattice."""
         coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
 

@@ -81,7 +81,8 @@ class NormalForm(NamedTuple):
         actions = [_product(w, w.conj()).real for w in (first, other)]
         square = _product(other, other)
         images = np.stack([*actions, square.real, square.imag], 1) @ fourth.reshape(-1, 16, 16)
-        direct = [  # fourth derivative times the number of permutations of the monomial, / 4!
+        # The fourth derivative for a monomial's factors is multiplied by the number of orders of these factors, and divided by 4!.
+        direct = [
             (actions[0] * images[:, 0]).sum(1) / 4,
             (actions[0] * images[:, 1]).sum(1),
             (actions[1] * images[:, 1]).sum(1) / 4,
@@ -100,7 +101,7 @@ class NormalForm(NamedTuple):
 
     @property
     def determinant(self) -> Array:
-        """The determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2."""
+        """The determinant D of Arnold's theorem. Without resonance up to order 4, an equilibrium is stable if D is not 0."""
         return self.c20 * self.l2**2 - self.c11 * self.l1 * self.l2 + self.c02 * self.l1**2
 
     def verdict(self) -> Flags:
@@ -125,7 +126,7 @@ class NormalForm(NamedTuple):
 
 
 def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
-    """Return `NonlinearStability` (points,), and c20, c11, c02 and the determinant D (4, points), which are nan without a normal form."""
+    """Return `NonlinearStability` (points,), and c20, c11, c02 and the normal form's determinant D, (4, points), nan if no form exists."""
     flags, kind = steady_families(system, points), kinds_of_stability(system, points)
     result = np.full(flags.shape, NonlinearStability.UNDECIDED, np.int8)
     values = np.full((4, flags.size), np.nan)
@@ -153,10 +154,10 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Return verdicts (points,), and c20, c11, c02 and the determinant D, (4, points), multiplied by the unit of moments of inertia.
+    """Return verdicts (points,), and c20, c11, c02 and the normal form's determinant D, (4, points), times the unit of moments of inertia.
 
-    Without a normal form these numbers are nan. With fewer than two degrees of freedom the verdict is DEGENERATE, and the caller uses the
-    energy. With more it is UNDECIDED.
+    Without a normal form the four numbers are nan. With fewer than two degrees of freedom the verdict is DEGENERATE, and the caller takes
+    the verdict from the energy. With more than two degrees of freedom the verdict is UNDECIDED.
     """
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
@@ -216,7 +217,7 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Return derivatives at 0 of terms of the Hamiltonian, (monomials, terms), and the row of each derivative of order 2, 3 and 4."""
+    """Return a table of derivatives at 0 of the Hamiltonian's terms, (monomials, terms), and the row of each derivative of order 2 to 4."""
     from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
@@ -266,9 +267,9 @@ def _product(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np
 
 
 def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
-    """Return the frequencies l1 and l2, (points, 2), of z' = J H'' z, and the columns w_1, w_2 and their conjugates, (points, 4, 4).
+    """Return the frequencies l of z' = J H'' z, (points, 2), and eigenvectors w_1, w_2 and their conjugates as columns, (points, 4, 4).
 
-    An eigenvector w to the eigenvalue -i l has w* J w = -i. With z = zeta w + conjugate, |zeta|^2 is the action of a mode.
+    The eigenvector w of the eigenvalue -i l has w* J w = -i. With z = zeta w + conjugate, |zeta|^2 is the action of a mode.
     """
     A = np.concatenate([second[:, 2:], -second[:, :2]], 1)
     square = A @ A

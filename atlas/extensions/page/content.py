@@ -89,7 +89,7 @@ def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: s
 
 
 def axes_table(layout: Layout) -> list[dict[str, Any]]:
-    """Return the axes of the atlas, or the coordinates of single points that vary. The axes of the map are first."""
+    """Return the axes of the atlas. For single points, return the axes of the map, then other coordinates that are not constant."""
     ds, system, names = layout.shown, layout.system, layout.dims
     if layout.points:
         columns = {name: ds[name].values for name in numeric_coordinates(ds, POINT)}
@@ -163,7 +163,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
 
 
 def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
-    """Return the values of a variable with colours, and for flags with sentences."""
+    """Return a variable's values and colour scale. For flags, return the values and each flag's text, sentence and colour."""
     array = layout.shown[name]
     values, flags = motion.over_points(_nearest_values(layout, name), layout.sizes), flag_names(array)
     if not flags:
@@ -332,7 +332,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
 
 
 def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "theory") -> dict[str, Any]:
-    """Return the entry of a line of theory. Vertices have six digits, and are None where a curve is cut."""
+    """Return the entry of a line of theory. Coordinates of vertices have six digits, and are None where the line is cut."""
     paths = [
         [[float(f"{x:.6g}") if math.isfinite(x) else None for x in vertex] for vertex in line]
         for line in vertices
@@ -386,7 +386,7 @@ class Store:
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
     def packed(self) -> list[dict[str, Any]]:
-        """Return type, size and data of each array. The data are all first bytes, all second bytes and so on, compressed, in base64."""
+        """Return each array's type, size and data. Data are all numbers' first bytes, then second bytes and so on, as compressed base64."""
         entries = []
         for array in self._arrays:
             little = array.astype(array.dtype.newbyteorder("<"))
@@ -450,7 +450,7 @@ class Layout:
         return tuple(self.sizes.values())
 
     def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
-        """Yield for each map the index of its points in an array over all points, and the part of the atlas."""
+        """Yield for each map the index of its points in an array over all points, and the part of the atlas that the map shows."""
         for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.panel_dims)):
             along = dict(zip(self.panel_dims, index, strict=True))
             yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
@@ -467,7 +467,7 @@ class Layout:
 
 
 def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS, degrees: bool | None = None) -> Layout:
-    """Return the layout of a page, or raise BadInput without axes. Above `max_points` points, the longest axes have fewer values."""
+    """Return the layout of a page, thinned to at most `max_points` points along the longest axes. Raise BadInput if `ds` has no axes."""
     check_not_empty(ds)
     single = POINT in ds.dims
     dims = (

@@ -24,7 +24,7 @@ from ...scene.model import Duration, Scene
 from ...systems import arithmetic
 from ...systems.base import Array, System
 
-SAMPLES = 1001  # number of instants of a motion, as atlas.trajectory keeps by default
+SAMPLES = 1001  # number of instants of a motion, the default of atlas.trajectory
 # Functions in `_KERNEL` integrate a motion, in the kernel's units. Functions in `_OF_BODY` show a body, in the caller's units, and
 # may be absent.
 _KERNEL = ("rhs", "scaled", "unscaled")
@@ -66,7 +66,7 @@ def sources(system: System, method: str) -> dict[str, str]:
 
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
-    """Return the starts of all points, as `ds.atlas.trajectory` integrates them, or raise BadInput where a value is missing."""
+    """Return the starts of all points, as `ds.atlas.trajectory` integrates them. Raise BadInput if a value is missing."""
     sizes = {dim: ds.sizes[dim] for dim in dims}
 
     def column(name: str) -> Array:
@@ -197,7 +197,7 @@ class _Function:
         return CannotTranslate(f"{self.name}: {text}")
 
     def statement(self, node: ast.stmt) -> list[str]:
-        """Return the lines of one statement."""
+        """Return the lines of JavaScript for one Python statement."""
         match node:
             case ast.Return(value=ast.expr() as value):
                 return [f"return {self.expression(value)};"]
@@ -223,7 +223,7 @@ class _Function:
         return [f"{whole} = {self.expression(value)};", *self.assigned(target, whole)]
 
     def assigned(self, target: ast.expr, text: str) -> list[str]:
-        """Return lines that assign a translated text to a name, or the items of the text to a tuple of names."""
+        """Return lines of JavaScript that assign the expression `text` to a name, or the expression's items to a tuple of names."""
         if isinstance(target, ast.Name):
             self.locals[target.id] = None
             return [f"{target.id}$ = {text};"]
@@ -280,7 +280,7 @@ class _Function:
         return product if number > 0 else f"(1.0 / {product})"
 
     def product(self, base: ast.expr, text: str, count: int) -> str:
-        """Translate a whole power to a product, by repeated squaring."""
+        """Translate a power with the integer exponent `count` into a product, by repeated squaring."""
         if count == 1:
             return text
         if not isinstance(base, ast.Name | ast.Constant):

@@ -66,7 +66,7 @@ class Page:
             temporary.write_text(self.html, encoding="utf-8")
 
     def _repr_html_(self) -> str:
-        """Return the page in a frame without access to the notebook and to the network."""
+        """Return the page as HTML in a frame that has access neither to the notebook nor to the network."""
         return (
             f'<iframe title="atlas" sandbox="allow-scripts allow-downloads" width="100%" height="{FRAME_HEIGHT}" style="border:0"'
             f' srcdoc="{html.escape(self.html)}"></iframe>'

@@ -1,4 +1,4 @@
-"""Pieces of equal style in texts with formulas, called runs. A page shows the runs without a mathematical typesetter."""
+"""Split texts with formulas into runs, which are pieces of equal style. A page shows the runs without a mathematical typesetter."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COMMANDS = {
 }
 for _name in GREEK:
     _case = "CAPITAL" if _name[0].isupper() else "SMALL"
-    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # Unicode uses this name
+    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # Unicode writes LAMDA
     _COMMANDS.setdefault(_name, unicodedata.lookup(f"GREEK {_case} LETTER {_letter}"))
 _SPACES = {",": "\u2009", " ": " ", ";": "\u2005", ":": "\u2005", "!": "", "quad": "\u2003"}
 _ACCENTS = {
@@ -47,7 +47,7 @@ def text_runs(text: str) -> list[Run]:
     A run has the keys "t" (letters), "i" (true if italic) and "s" (1 raised, -1 lowered). An unknown command such as \foo becomes foo.
     """
     parts = text.split("$")
-    if len(parts) % 2 == 0:  # an unpaired dollar sign is a letter
+    if len(parts) % 2 == 0:  # an unpaired dollar sign begins no formula
         return [{"t": text}]
     result: list[Run] = []
     for number, part in enumerate(parts):

@@ -40,8 +40,8 @@ LATER = 3.0  # ANGLE and GROWTH are multiplied by this factor while the period i
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
 SAME = 0.02  # events at a distance below this fraction of a step are the same
 RETURNED = 0.01  # states at a distance below this fraction of the size of the orbit are the same
-# A polynomial through KNOWN members locates the zero of a function. The zero is accepted if the nearest member is within NEAR times
-# the step, and |function| at this member is below SMALL times the larger |function| at the ends of the interval.
+# A polynomial through KNOWN members locates a function's zero between two members A and B. The zero is accepted if the nearest member
+# is within NEAR times the section's length, and |function| at this member is below SMALL times the larger |function| at A and B.
 KNOWN, NEAR, SMALL = 6, 1e-5, 1e-3
 SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # members are added at these fractions of an interval
 
@@ -68,7 +68,7 @@ class Member:
     solution: Solution
 
     def far_from(self, other: Member) -> float:
-        """Return the largest change of the multipliers from `other`, as a fraction of ANGLE or GROWTH."""
+        """Return the largest change of the multipliers from `other`. Angles are divided by ANGLE, logarithms of magnitudes by GROWTH."""
         if self.angles.shape != other.angles.shape or not self.angles.size:
             return 0.0
         orders = ([0, 1], [1, 0]) if self.angles.shape[1] == 2 else ([0],)
@@ -77,7 +77,7 @@ class Member:
 
 
 def member(family: Family, solution: Solution, arc: float) -> Member:
-    """Return the member for the orbit of `solution` at the arc length `arc`."""
+    """Return the member of `family` that has the orbit of `solution` and the arc length `arc`."""
     orbit = solution.orbit
     mu = family.multipliers(orbit, solution.matrices)
     rho = mu[::2] + mu[1::2]
@@ -97,7 +97,7 @@ Value = Callable[[Member], Any]
 
 
 def test(kind: PeriodicEvent) -> Value:
-    """Return the function of a member that vanishes at events of `kind`."""
+    """Return the function that vanishes at events of `kind`. The function's argument is a member."""
     return lambda each: each.tests[kind]
 
 
@@ -139,13 +139,13 @@ class Section:
         return Polynomial(coefficients, domain=[-unit, unit])
 
     def estimate(self, value: Value, low: Member, high: Member) -> float:
-        """Return the arc length where the polynomial of `value` vanishes between `low` and `high`, or the middle if it does not."""
+        """Return the arc length of the first zero of the polynomial of `value` from `low` to `high`. Without a zero, return the middle."""
         middle, width = 0.5 * (low.arc + high.arc), 0.5 * (high.arc - low.arc)
         roots = _real(self.polynomial(value, middle).roots(), width)
         return middle + (roots[0] if roots.size else 0.0)
 
     def zero(self, value: Value, low: Member, high: Member) -> float:
-        """Return the arc length between `low` and `high` at which `value` vanishes. At these members `value` has opposite signs."""
+        """Return the arc length of a zero of `value` between `low` and `high`. `value` has opposite signs at `low` and `high`."""
         size = SMALL * max(abs(value(low)), abs(value(high)))
         for i in range(60):
             arc = self.estimate(value, low, high)
@@ -177,7 +177,7 @@ class Section:
         return [self.zero(value, a, b) for a, b in pairwise(self.members) if value(a) * value(b) < 0]
 
     def hides_no_pair(self, value: Value, others: Sequence[Member]) -> bool:
-        """Compute members where `value` may have two zeros. Return whether no such pair is missed. `others` lie in nearby sections."""
+        """Compute members where `value` may have two zeros. Return False if two zeros may be missed. `others` lie in nearby sections."""
         middle, sign = self.start.arc + 0.5 * self.length, np.sign(value(self.start))
         for _ in range(PAIRED):
             values = [sign * value(each) for each in self.members]
@@ -193,7 +193,7 @@ class Section:
 
 
 def _real(roots: np.ndarray, width: float) -> Array:
-    """Return the real ones of `roots` from -`width` to `width`, in increasing order."""
+    """Return the real roots from -`width` to `width`, in increasing order."""
     return np.sort(roots[(np.abs(roots.imag) < 1e-9 * width) & (np.abs(roots.real) <= width)].real)
 
 
@@ -207,7 +207,7 @@ class Path:
         orbit, energy = family.born(NODES), family.birth_energy
         solution = Solution(orbit, np.empty((0, SIZE, SIZE)), 0.0, 0, 0.0)
         self.birth = Member(orbit, 0.0, energy, np.empty(0), np.empty((2, 0)), {}, solution)
-        self.sections: list[Section] = []  # the first one starts at the birth
+        self.sections: list[Section] = []  # the first section starts at the birth of the family
         self.members: list[Member] = []
         self.fastest = 0.0
 
@@ -324,7 +324,7 @@ class Path:
         return FamilyEnd.MIRROR
 
     def events(self) -> tuple[list[Event], bool]:
-        """Return the events in order along the family, and whether no pair of events within a step was missed."""
+        """Return the events in order along the family, and whether the list is complete up to COMPLETE times the period at the birth."""
         result, complete = list[Event](), self.end.kind not in (FamilyEnd.LOST, FamilyEnd.STEP_LIMIT)
         for i, section in enumerate(self.sections[1:], 1):
             start, others = section.start, self.members[max(i - 2, 0) : i + 2]

@@ -96,7 +96,7 @@ class Flow:
         return float(sum(getattr(self.equations, name)(state, self.constants[:, 0])))
 
     def gradients(self, names: Sequence[str], state: Array) -> Array:
-        """Return the derivatives of integrals, (names, 6). Integrals are quadratic, so that central differences are exact."""
+        """Return integrals' derivatives by changes of `state`, (names, 6). Central differences are exact for quadratic integrals."""
         v, unit = self.vectors(state[None])[0], np.eye(3)
         moved = np.zeros((SIZE, *v.shape))
         moved[:3, 0] = self.rate * unit
@@ -108,7 +108,7 @@ class Flow:
         return np.reshape(rows, (len(rows), SIZE)) / 2e-3
 
     def slopes(self, states: Array) -> Array:
-        """Return the changes of `states` per unit of time."""
+        """Return the time derivatives of `states`."""
         derivative = np.array(self.equations.rhs(states.T, self.constants), float).T
         attitude = derivative[:, 3:]
         if self.rotates:
@@ -116,7 +116,7 @@ class Flow:
         return np.hstack([derivative[:, :3] / self.rate, attitude])
 
     def symmetry(self, states: Array) -> Array:
-        """Return the changes of `states` per angle in a turn about the axis of symmetry, or zeros for a body without symmetry."""
+        """Return the derivatives of `states` by the angle of a turn about the axis of symmetry, or zeros for a body without symmetry."""
         if not self.symmetric:
             return np.zeros((len(states), SIZE))
         v, axis = self.vectors(states), np.array([0.0, 0.0, 1.0])
@@ -124,7 +124,7 @@ class Flow:
         return np.hstack([cross(axis, v[:, 0]) / self.rate, attitude])
 
     def speeds(self, states: Array) -> Array:
-        """Return the lengths of the changes per unit of time, after removal of turns about the axis of symmetry."""
+        """Return the lengths of the time derivatives of `states`, without the components along turns about the axis of symmetry."""
         slopes, along = self.slopes(states), self.symmetry(states)
         shares = (slopes * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
         return np.linalg.norm(slopes - shares[:, None] * along, axis=1)

@@ -121,7 +121,7 @@ class Family:
         return replace(orbit, states=states, period=orbit.period + change[-2], chi=orbit.chi + change[-1])
 
     def equations(self, orbit: Orbit) -> tuple[Array, Array, Array]:
-        """Return the residuals (segments first), their derivatives by the scaled unknowns, and the matrices of the segments."""
+        """Return residuals, their derivatives by the scaled unknowns, and segments' matrices. The residuals of segments come first."""
         flow, m, n = self.flow, len(orbit.states), SIZE * len(orbit.states)
         ends, matrices = flow.run(orbit.states, orbit.period / m, orbit.bound)
         ends[-1:], matrices[-1] = flow.turned(ends[-1:], -orbit.chi), turn(-orbit.chi) @ matrices[-1]
@@ -210,7 +210,7 @@ class Family:
         flow, states, names = self.flow, orbit.states, [*self.flow.held, self.flow.energy]
 
         def basis(i: int) -> Array:
-            """Return a basis of the changes that keep the integrals and are orthogonal to the flow and to turns about the axis."""
+            """Return a basis of changes of state `i` that keep the integrals and are orthogonal to the flow and to turns about the axis."""
             y = states[i : i + 1]
             return across(np.vstack([flow.gradients(names, y[0]), flow.slopes(y), flow.symmetry(y)]))
 

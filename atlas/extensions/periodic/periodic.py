@@ -112,12 +112,12 @@ def periodic(
     Returns
     -------
     xarray.Dataset
-        Variables over the dimensions of arrays and "family", with the parameters as coordinates. With "orbit": start values for
-        `trajectory` and `label_points`, where theta is largest; period; turn of a symmetric body about its third axis, after which
-        the motion repeats; energy; theta_min; theta_max; orbit_stable (flags); closing, the error at the nodes; arc, the length from birth.
-        With "orbit" and "multiplier": multiplier_real, multiplier_imag, without the multipliers that are always 1. With "event":
-        event_kind (flags), event_period, event_energy, event_arc. Without both: frequency, birth_period, birth_energy, birth_slope
-        (dT/dh for period T and energy h), the constant momenta, end (flags), end_period, end_energy, complete (flags).
+        Variables over the dimensions of arrays and "family", with the parameters as coordinates: frequency, birth_period, birth_energy,
+        birth_slope (dT/dh for period T and energy h), the constant momenta, end (flags), end_period, end_energy, complete (flags).
+        Also over "orbit": start values for `trajectory` and `label_points`, at the largest theta; period; turn of a symmetric body
+        about the third axis, after which the motion repeats; energy; theta_min; theta_max; orbit_stable (flags); closing, the error
+        at the nodes; arc, the length from birth. Also over "orbit" and "multiplier": multiplier_real, multiplier_imag, without the
+        multipliers that are always 1. Also over "event": event_kind (flags), event_period, event_energy, event_arc.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def slope_at_birth(family: Family, members: Sequence[Member]) -> float:
 
 
 def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
-    """Return the least and largest theta of an orbit, and the state at the largest, or near it if the axis is vertical there."""
+    """Return the least and largest theta of an orbit, and the state at the largest theta (or nearby, if the axis is vertical there)."""
     orbit, duration, extremes = each.orbit, each.orbit.period / len(each.orbit.states), []
     paths = flow.nodes(orbit.states, duration, orbit.bound)
     step, states = duration / (paths.shape[1] - 1), paths[:, :-1].reshape(-1, len(flow.start))
@@ -317,7 +317,7 @@ def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:
 def _variable(
     system: Gyrostat, name: str, rows: Sequence[Sequence[Mapping[str, Any]]], dims: tuple[Any, ...], shape: tuple[int, ...]
 ) -> tuple[tuple[Any, ...], Array, dict[str, Any]]:  # fmt: skip
-    """Return the variable `name` from the values in `rows`. Missing values are nan, missing flags 0, or LOST for `end`."""
+    """Return the variable `name` from the values in `rows`. Missing numbers are nan. Missing flags are 0, or LOST in the variable `end`."""
     of_starts = (ORBIT, "", "", None) if name in STARTS else (FAMILY, "N m s", f"momentum held, {name}", None)
     own, unit, text, flags = _VARIABLES.get(name, of_starts)
     values = [[np.asarray(family[name], float) for family in families] for families in rows]

@@ -1,12 +1,12 @@
 """Motions in the plane, where the third axis stays on the vertical and the body librates or rotates about it like a pendulum.
 
-Let alpha = (cos x, -sin x, 0), with rotor and fields along e3, no field along alpha, and a gradient g > 0 along alpha. The pitch x
-obeys C x'' = -g (B - A) sin x cos x. For A < B it may librate about x = 0, with sin x = k sn(f t), x' = f k cn(f t) and
-f^2 = g (B - A)/C. Otherwise it rotates, with x = am(f t), x' = f dn(f t) and k^2 f^2 = g (B - A)/C. For B < A the first two axes change
-places, and x is counted from pi/2.
+Let alpha = (cos x, -sin x, 0), where x is the pitch. The rotor and the field of gamma lie along the third axis e3. The vector alpha
+has no field, and a gradient g > 0. Then C x'' = -g (B - A) sin x cos x. For A < B the pitch may librate about 0, with
+sin x = k sn(f t), x' = f k cn(f t) and f^2 = g (B - A)/C. Otherwise the body rotates, with x = am(f t), x' = f dn(f t) and
+k^2 f^2 = g (B - A)/C. For B < A the first two axes change places, and x is counted from pi/2.
 
 A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `gyrostat.floquet`, which hold
-along any motion. Let w3 be the angular velocity along e3, v = k3 + (C - A - B) w3, h = field.gamma and alpha = (a1, a2, 0). Then
+along any motion. Let w3 be the angular velocity along e3, v = k3 + (C - A - B) w3, h = (field of gamma).gamma and alpha = (a1, a2, 0). Then
 
     xi_1' = (p_1 - v xi_2 / 2)/A,    p_1' = P11 xi_1 + P12 xi_2 - v xi_2'/2,    P11 = (B - C)(w3^2 + g a2^2) - k3 w3 + h,
     xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
@@ -34,11 +34,11 @@ from .elliptic import EllipticFunctions
 
 
 class _Steps(NamedTuple):
-    """Numbers of steps in a quarter of the period. Sums with these numbers are extrapolated to infinitely many steps."""
+    """Numbers of steps in a quarter of the period. `multiplier_sums` extrapolates from these numbers to infinitely many steps."""
 
     shortest: float  # length of the shortest steps times the norm of the matrix of the linear equations
     counts: tuple[int, ...]  # ratio of each number of steps to the least number of steps
-    most: int  # limit of the least number of steps, above which `multiplier_sums` is nan
+    most: int  # `multiplier_sums` is nan if the least number of steps exceeds `most`
 
     def weights(self) -> Array:
         """Return the weights of the sums in two extrapolations, one with all numbers of steps, and one without the least number."""
@@ -54,10 +54,10 @@ _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
 _MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
-_TOLERANCE = 1e-11  # relative error of expressions that vanish on borders of stability (short steps)
-# Upper limit of the error of a sum, divided by the change of the sum if the longest steps are left out. The largest measured ratio is 0.3.
+_TOLERANCE = 1e-11  # relative error that short steps leave in expressions that vanish on borders of stability
+# The error of a sum is taken as _CHANGE times the sum's change without the longest steps. The largest measured factor is 0.3.
 _CHANGE = 3.2
-# R H^-1 R of the module's text is H^T times these signs, entry by entry, after the halves of rows and those of columns are exchanged.
+# For R H^-1 R of the module's text, exchange the upper and lower half of H^T, then the left and right half, and multiply by _SIGNS.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 
@@ -66,7 +66,7 @@ class PlaneMotions(NamedTuple):
 
     unit: Array  # unit of rates
     low: Array  # A, the moment of inertia about the axis that is along alpha at the pitch x = 0
-    high: Array  # B, the moment of inertia about the axis normal to e3, and to alpha at the pitch x = 0
+    high: Array  # B, the moment of inertia about the axis normal to the axes of A and C
     axial: Array  # C, the moment of inertia about the third axis e3
     rotor: Array
     gradient: Array
@@ -114,7 +114,7 @@ class PlaneMotions(NamedTuple):
         return EllipticFunctions.of(self.modulus, self.complement)
 
     def period(self) -> Array:
-        """Return the period 4 K/f of a libration or whole turn, in time units, for the complete elliptic integral K and f = |frequency|."""
+        """Return the period 4 K/f of a libration or a whole turn, in time units. K is the complete elliptic integral, f = |frequency|."""
         return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
@@ -155,13 +155,13 @@ class PlaneMotions(NamedTuple):
         return np.sqrt(np.maximum(variance, 0.0)) * self.unit
 
     def stability(self, rough: bool = False) -> tuple[Flags, Array]:
-        """Return stability out of the plane and growth rates. With `rough`, multipliers far from borders have errors of up to 1e-7.
+        """Return stability out of the plane and growth rates. With `rough`, multipliers far from stability borders have errors up to 1e-7.
 
         Let t be the sum of the multipliers, and u the sum of the products of two multipliers. The sums rho = multiplier + 1/multiplier obey
         rho^2 - t rho + u - 2 = 0. All rho are real and in (-2, 2) if and only if t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
-        # As in `multipliers`, sums with the steps _FINE give the verdicts near borders and, unless `rough`, all growth rates.
+        # As in `multipliers`, multiplier sums with the steps _FINE give the verdicts near borders and, unless `rough`, all growth rates.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._verdict(_FINE)
@@ -170,7 +170,7 @@ class PlaneMotions(NamedTuple):
         return stable, exponent / self.period()
 
     def _verdict(self, steps: _Steps) -> tuple[Flags, Array]:
-        """Return stability and the logarithm of the growth over the period, which is 0 where errors hide it and nan if unknown."""
+        """Return stability and the growth's logarithm over a period. The logarithm is 0 unless growth is certain, and nan if unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(steps)
         one = np.exp(-log_scale)  # This is 1 / c. `multiplier_sums` divides t by c and u by c^2.
         square, middle = one**2, u + 2 * one**2
@@ -186,21 +186,21 @@ class PlaneMotions(NamedTuple):
         one = np.exp(-log_scale)
         root = np.sqrt(t**2 / 4 - s + 2 * one**2 + 0j)
         rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
-        # Unlike the root of rho^2 - 4, the product of two square roots has the sign that gives the larger multiplier.
+        # The larger multiplier is (rho + r)/2 with r = sqrt(rho - 2) sqrt(rho + 2). For rho < -2, sqrt(rho^2 - 4) is -r.
         doubled = np.abs(rho + np.sqrt(rho - 2 * one) * np.sqrt(rho + 2 * one)).max(0)
         exponent = np.maximum(log_scale + np.log(doubled / 2), 0.0)
         return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
 
     def multipliers(self) -> tuple[Array, Array]:
-        """Return t and s of rho^2 - t rho + s - 2 = 0 over the period, where rho = multiplier + 1/multiplier."""
+        """Return t and s of rho^2 - t rho + s - 2 = 0. The roots are rho = mu + 1/mu for the multipliers mu over a period."""
         t, s, log_scale = self._over_period(*self.multiplier_sums(_FINE)[:3])
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
     def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
-        """Return t / c and s / c^2 for t and s of `multipliers`, and log(c). The scale c is 1 unless t or s could overflow."""
+        """Return t / c, s / c^2 and log(c) for t and s of `multipliers`, from `multiplier_sums`. The scale c prevents overflow."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        # For half a turn let rho = multiplier + 1/multiplier. For the whole turn this sum is rho^2 - 2, with the t and s below.
+        # If half a turn has rho = mu + 1/mu for a multiplier mu, the whole turn has mu^2 + 1/mu^2 = rho^2 - 2.
         turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept
         return np.where(self.rotates, turn, (t, u, kept))
 

@@ -1,7 +1,7 @@
 """Functions that write files whole or not at all, and that check paths.
 
-A file is written under a temporary name in the same folder and then renamed. The temporary name contains the process, so that
-`remove_leftovers` can recognise files of dead processes.
+A file is written under a temporary name in the same folder and then renamed. The temporary name identifies the process that writes, so
+that `remove_leftovers` can recognise files of dead processes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
-# If a write fails while fewer bytes than this are free, the disk counts as full. A tile is smaller.
+# If a write fails while fewer bytes than this are free, the disk counts as full. Every tile has fewer bytes than this.
 MIN_FREE_BYTES = 1 << 25
 # A file of unknown origin may contain at most MAX_JSON_BYTES of JSON. If it claims more than MIN_CLAIM bytes of numbers, the
 # compression ratio may be at most MAX_RATIO. Sound files reach a ratio of 3000.
@@ -38,7 +38,6 @@ CLOCK_ERROR = 60.0  # seconds by which the clocks of two machines may differ
 
 
 def exists_message(path: Path | str) -> str:
-    """Return the message that `path` exists already."""
     return f"{path}: this file exists; {option('force', True)} replaces it"
 
 
@@ -106,7 +105,7 @@ def is_recent(age: float, most: float) -> bool:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of dead processes from a folder. Files of other machines stay until FOREIGN_LEFTOVER_AGE."""
+    """Remove temporary files of dead processes from a folder. Files of other machines stay for FOREIGN_LEFTOVER_AGE seconds."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if not (match := TEMPORARY.fullmatch(entry.name)):
@@ -163,7 +162,7 @@ def cache_folder() -> Path:
 
 
 def is_private(folder: Path, instead: str) -> bool:
-    """Whether a folder of the cache is readable, and only this user can have written there. If not, warn what is done `instead`."""
+    """Whether a folder of the cache is readable, and only this user can have written there. If not, log what is done `instead`."""
     if folder != cache_folder() and not is_private(cache_folder(), instead):
         return False
     status = os.lstat(folder)
@@ -325,7 +324,7 @@ def writable(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise BadInput if `path` is a file of numbers that is not known to be an atlas, or a path that NetCDF cannot open."""
+    """Raise BadInput if `path` is a NetCDF, HDF5 or Zarr file that is not known to be an atlas, or a path that NetCDF cannot open."""
     from .hdf5 import SIGNATURES, check_path, is_own, locked_text  # few processes need this import
 
     if path.suffix.lower() == ".nc":

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Flag(IntEnum):
-    """Value of a flag variable with a sentence that explains it. Files use the name of the member in lower case."""
+    """Value of a flag variable, with a sentence that explains the value. Files use the value's name in lower case."""
 
     sentence: str
 
@@ -81,7 +81,7 @@ class Stability(Flag):
 
 
 class EnergyStability(Flag):
-    """Whether the energy of a steady motion is a minimum for given values of what internal dissipation conserves."""
+    """Whether the energy of a steady motion is a minimum for given values of the quantities that internal dissipation conserves."""
 
     UNKNOWN = 0, "not known, or the second variation is degenerate"
     YES = 1, "a minimum of the energy on the level of what internal dissipation keeps: stable, also with it"

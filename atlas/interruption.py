@@ -22,7 +22,7 @@ from .errors import printable
 INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
 STOPPED = 75  # exit code of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# A busy process prints a message and ends GRACE_PERIOD s after a signal. Finding and printing the message may each take MESSAGE_PERIOD.
+# GRACE_PERIOD s after a signal, a busy process prints a message and ends. Composing and printing the text may each take MESSAGE_PERIOD.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # batch systems send these before the end of a job

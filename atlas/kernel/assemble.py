@@ -58,7 +58,7 @@ def reachable(
 
 
 def file_of(of: ModuleType) -> str:
-    """Return the name of a kernel module without the package. Callers compare the name, and need not import other kernel modules."""
+    """Return a kernel module's name without the package. Callers compare names, so that they need not import other kernel modules."""
     return of.__name__.rpartition(".")[2]
 
 
@@ -230,14 +230,14 @@ def generated_functions(
 
 
 def observable_names(equations: ModuleType) -> tuple[str, ...]:
-    """Return the names of the observables in completed equations. A body in a frame has no observables."""
+    """Return the names of the observables of a system with these equations. A body in a frame has no observables."""
     return getattr(equations, "OBSERVABLES", ())
 
 
 def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Return, by name, sources of functions that compute observables or their differentials, and lines of functions that call them."""
+    """Return sources, by name, of functions for one observable or differential, and lines, by head, of functions for all observables."""
     changes, values, slopes, lines = dict[str, str](), [], [], []
 
     def value(name: str) -> str:

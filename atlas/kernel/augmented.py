@@ -102,7 +102,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """Return functions with new states. `scaled` multiplies new state i by h^powers[i]. A loss becomes a term of the first integral."""
+    """Return sources with added states. `scaled` multiplies added state i by h^powers[i]. Integrals in `names` gain a state as a term."""
     scaled, unscaled = sources["scaled"], sources["unscaled"]
     extended = {}
     for name, text in sources.items():

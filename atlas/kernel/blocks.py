@@ -82,7 +82,7 @@ class Arrays(NamedTuple):
     step_size: Array  # in time units
     state: Array  # state at the start (see `start_state`), which a call replaces by the state at the end, (kernel.STATES, points)
     constants: Array  # constants of the equations, (constants, points)
-    scales: Array  # see `ensemble.integral_scales`, (integrals, points)
+    scales: Array  # reciprocals of the sizes of first integrals, (integrals, points)
     given: Array  # constants of the plugged instruments, (kernel.PLUGGED_GIVEN, points)
     rule: Quadrature | EndWeights
     cylinder_squared: float  # square of the radius of the cylinder, rad^2

@@ -39,7 +39,7 @@ def function_tree(text: str) -> ast.FunctionDef:
 
 
 def differential(text: str, name: str) -> str:
-    """Return the source of a function ``name(state, constants, change)`` that gives the first-order change of `text`.
+    """Return the source of ``name(state, constants, change)``, the differential of the function in `text` for a `change` of the state.
 
     The function in `text` assigns names or tuples of names, and returns a tuple. It may use + - * /, powers whose exponents do
     not depend on the state, and `systems.arithmetic.FUNCTIONS`. Everything else raises ValueError.

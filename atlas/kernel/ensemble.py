@@ -17,15 +17,15 @@ from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
-# After these fractions of the nodes a run is interrupted, so that points that certainly drift can end early. Most drifting points
-# are certain after a small part of the run. Motions that leave an unstable motion take longer.
+# After these fractions of the nodes a run is interrupted, so that points that certainly drift can end early. For most drifting
+# points the drift is certain after a small part of the run. The drift is certain later if the motion leaves an unstable motion.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
-# A run is not interrupted before this node, because shorter segments cost more than they save.
+# A run is not interrupted before this number of nodes, because shorter segments cost more than they save.
 MIN_NODES = 8
 
 
 class Plug(Protocol):
-    """Instrument that adds values at the nodes of a body's motion to sums. The sums are 0 at the start."""
+    """Instrument that keeps sums over the nodes of a body's motion. The sums are 0 at the start."""
 
     @property
     def sums(self) -> int:
@@ -52,7 +52,7 @@ class Plug(Protocol):
 
 @dataclass(frozen=True)
 class Integration:
-    """Result of integrating an ensemble, in arrays of shape (points,)."""
+    """Result of integrating an ensemble. Arrays without a stated shape have the shape (points,)."""
 
     final_state: Array  # state at the end of the run, (states, points)
     sums: Array  # output of the kernel, (kernel.SUMS, points)
@@ -74,7 +74,7 @@ class Ensemble:
 
     state: Array  # state from which statistics begin, (states, points)
     constants: Array  # constants of the equations, (constants, points)
-    scales: Array  # reciprocal sizes of the first integrals; see `integral_scales`, (integrals, points)
+    scales: Array  # reciprocals of the sizes of first integrals, (integrals, points)
     frequency_bound: Array  # upper bound of the fastest frequency, rad per time unit
     given: Array  # constants of the plugged instruments, (rows, points)
     origin: Array  # initial state, before a transient, (states, points)
@@ -192,7 +192,7 @@ class Ensemble:
 
         All weights are positive, so that the sum of theta'^2 only grows. (The correction of a passage near the vertical removes at
         most one sample.) A point drifts once the sum exceeds the limit of the whole run and sin theta has exceeded twice the radius
-        of the cylinder. A later entry into the cylinder counts as drift, too. Runs without an early stop have the same bits as in one call.
+        of the cylinder. A later entry into the cylinder counts as drift, too. Interruptions do not change a run that does not end early.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):

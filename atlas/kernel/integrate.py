@@ -134,9 +134,9 @@ def sample_weights(samples, j, spacing):
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks from `first_node` up to but without `last_node`, both of shape (blocks,).
+    """Integrate each block from `first_node` to the node before `last_node`. Both arrays have the shape (blocks,).
 
-    Several calls for the nodes 0 to steps / steps_per_sample of a run give the same bits as one call. `arrays.rule` is a `Quadrature`.
+    Several calls for the nodes 0 to steps / steps_per_sample of a run give exactly the result of one call. `arrays.rule` is a `Quadrature`.
     """
     full_vectors()
     points, steps, steps_per_sample = schedule
@@ -220,7 +220,7 @@ def empty_queue(rows):
 
 
 def move_up(queue, lanes, first_nodes, count):
-    """Move the columns from QUEUE to `count` to the front of a queue, and return the number of these columns."""
+    """Move the columns QUEUE to `count` - 1 of a queue to the front. Return the number of these columns."""
     rest = max(count - QUEUE, 0)
     for e in range(rest):
         lanes[e], first_nodes[e] = lanes[QUEUE + e], first_nodes[QUEUE + e]
@@ -323,7 +323,7 @@ def queue_passages(
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
-    """Return 1.0 if zeta = g1 + i g2 may have a zero near an interval, else 0.0, and the place of the zero.
+    """Return 1.0 if zeta = g1 + i g2 may have a zero near an interval, else 0.0. Return also the zero's place from 0 to 1.
 
     See `poles.turns_near_vertical`. At an end of a run near the vertical, a zero may exist although sin^2 theta has no minimum.
     """
@@ -352,7 +352,7 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
 
 
 def store_turn(turns, e, nodes, slots, l, spacing, node, x):
-    """Write a turning point of lane l into column e. The place is about x after `node`, one of the four nodes."""
+    """Write a turning point of lane l into column e. The point is about x intervals after `node`, the index of one of the four nodes."""
     store_component(turns, Turn.G1, Turn.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(turns, Turn.G2, Turn.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(turns, Turn.G3, Turn.G3_SLOPE, e, nodes, slots, 5, l, 1.0, spacing)
@@ -414,7 +414,7 @@ def correct(
 
 
 def zeros(passages, terms, farther, count):
-    """Find the zero of zeta = g1 + i g2 nearest to each passage, or the farther zero, and write the terms of the poles into `terms`."""
+    """Find the nearer zero of zeta = g1 + i g2 at each passage, or the farther zero if `farther` is 1. Write pole terms into `terms`."""
     for e in range(count):
         approximate_zero(passages, e, farther)
     for _ in range(NEWTON_STEPS):
@@ -425,7 +425,7 @@ def zeros(passages, terms, farther, count):
 
 
 def collect_farther(passages, farther, places, count):
-    """Copy into `farther` the passages whose second zero may count too. Return the number of passages, rounded up to a multiple of 8."""
+    """Copy into `farther` the passages whose farther zero may need a correction. Return their number, rounded up to a multiple of 8."""
     number = 0
     for e in range(count):
         if passages[Passage.FARTHER, e] > 0.0:

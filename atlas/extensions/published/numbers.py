@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """Return a row. The verdict allows the larger of half a unit of the last printed digit and one unit of the last digit of `ours`."""
+    """Return a row. Numbers agree up to half a unit of the last printed digit or, if larger, one unit of the last digit of `ours`."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),

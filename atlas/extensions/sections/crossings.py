@@ -23,11 +23,12 @@ from .surface import Surface, quantities
 
 Counts = NDArray[np.int64]
 NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, in rad
-# Allowed numbers of steps between two nodes. There are few, so that motions share blocks of the kernel.
+# Allowed numbers of steps between two nodes. The list is short, so that many motions share a block of the kernel.
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
 NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory, of all motions and of one motion
 # A cubic nearly touches 0 if |extremum| is below a limit. In the middle of an interval the limit is TOUCHING times the larger |value| at
-# the ends. Near the ends the limit is lower, like the error of a cubic. At twice the frequency bound this error is a third of the limit.
+# the ends. Like the error of a cubic, the limit falls to 0 at the ends. The error is at most a third of the limit for functions that
+# oscillate at up to twice the frequency bound.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
 # Newton's method stops when a step is below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end.
@@ -69,7 +70,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # `largest` is the function's derivative if each component grows by its own share. Equal shares would not turn a unit vector.
+        # `largest` is the surface function's derivative if each state grows by a factor of its own. Equal factors turn no unit vector.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -98,7 +99,7 @@ def _at(
 def _zeros(
     at: Callable[[Counts, Array], tuple[Array, Array, Array, Array]], ends: Array, direction: int
 ) -> tuple[Counts, Array]:
-    """Return, in order, the interval of each zero that is crossed in `direction`, and the fraction of the interval before the zero.
+    """Return in order, for each zero that a function passes in `direction`, the interval and the fraction of the interval before the zero.
 
     `ends` are values and slopes at both ends of the intervals. An interval is cut where a cubic with these values and slopes
     nearly touches 0, else where the cubic crosses 0. The pieces are cut likewise, until Newton's step from a crossing is short.
@@ -132,7 +133,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """For cubics on [0, 1], return the place of the extremum whose value is nearest to 0, whether to cut there, and an approximate zero."""
+    """For cubics on [0, 1], return the place of the extremum of least |value|, whether to cut [0, 1] there, and an approximate zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])
@@ -142,7 +143,7 @@ def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Arra
     depth = np.where(x < 1, depth, np.inf)
     signs = np.sign([f0, *height, f1])
     decides = (depth.min(0) < TOUCHING) | ((signs[1:] != signs[:-1]).sum(0) > 1)
-    # For the inverse interpolation, x is a cubic in f with the same ends and slopes.
+    # The inverse interpolation is a cubic x(f). At the ends x(f) has the values and slopes of the inverse function of the cubic f(x).
     t, rise = f0 / (f0 - f1), f1 - f0
     zero = t * t * (3 - 2 * t) + t * (1 - t) * ((1 - t) * rise / s0 - t * rise / s1)
     zero = np.where((zero > 0) & (zero < 1), zero, 0.5)

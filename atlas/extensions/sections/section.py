@@ -35,8 +35,8 @@ OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body k
 DIMS = ("point", "crossing")
 AT, LENGTH = "atlas_section", "atlas_duration"  # names of attributes of a section
 MAX_VALUES = 10**8  # largest number of values of each kept quantity
-# The error of a run is estimated as this share of the difference from a run with longer steps. Errors of the steps are at most a
-# sixth of the difference (rk4), and rounding errors may be larger.
+# The error of a run is estimated as this fraction of the difference from a run with longer steps. Errors of the steps are at most a
+# sixth of the difference (rk4). Rounding errors may be a larger fraction of the difference.
 SHARE = 0.2
 SPREAD = 1e-6  # A warning follows if first integrals of the points differ by a larger fraction of their size.
 

@@ -103,7 +103,7 @@ class Surface:
         return expression
 
     def value(self, state: Any, constants: Array) -> Any:
-        """Return the function that vanishes on the surface and increases in the direction "rising"."""
+        """Return the value of the function that is 0 on the surface and increases at crossings in the direction "rising"."""
         values = quantities(self.system, self.names - {self.angle}, state, constants)
         c = self.right.value(values)
         if self.angle == "theta":

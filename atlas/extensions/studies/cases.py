@@ -1,4 +1,4 @@
-"""Stiff and extreme points of satellites and of gyrostats about a fixed point. Satellites have Omega = 1 unless a case gives another."""
+"""Stiff and extreme points of satellites and of gyrostats about a fixed point. Satellites have Omega = 1 unless a case states Omega."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array)
 
 
 def _departure(name: str, description: str, columns: Mapping[str, Array], growth: Array) -> StressCase:
-    """Return unstable motions with offsets of 1e-15 to 3e-11 rad that grow by exp(20) to exp(25)."""
+    """Return unstable motions with offsets of 1e-15 to 3e-11 rad. During the runs the offsets grow by factors of exp(20) to exp(25)."""
     return StressCase(name, description, LOGARITHMS / growth, columns,
                       additions={"theta0": OFFSETS}, may_stay_unresolved=OFFSET, truth="departure")  # fmt: skip
 
@@ -241,7 +241,7 @@ def fixed_point_cases(system: Gyrostat) -> tuple[StressCase, ...]:
     cone = {"theta0": 0.8, "n": 0.5, "C": 0.7} | heavy
     flip = {"A": 1.0, "B": 2.0, "C": 1.5, "m": 1.0}
     middle = {"A": 1.0, "B": 1.5, "C": 2.0, "theta0": np.pi / 2, "n": 1.0}
-    # Conical motions are unstable only where N (A - C) > A n^2, at small C r + l3.
+    # Conical motions are unstable only where N (A - C) > A n^2 and the axial momentum C r + l3 is small.
     steep = {"A": 1.0, "C": 0.4, "N": 3.0, "n": 0.5, "theta0": 1.0, "Mg": 1.0}
     spun: dict[str, ArrayLike] = {**steep, "m": [0.3, 3.0]}
     paper = {"A": [22.49, 50.32], "B": [22.49, 50.32], "C": [35.6, 33.4]}

@@ -34,17 +34,17 @@ class Motion(Protocol):
     """An exact motion of one body from one start."""
 
     rate: float  # approximate fastest angular frequency, rad per time unit
-    period: float  # period of theta and of all rates in time units, or inf
+    period: float  # period, in time units, of theta and of all rates, or inf
 
     def __call__(self, time: Array) -> EulerMotion:
         """Return angles and rates at the times."""
 
 
-# The functions below take the complement 1 - m of the parameter m, which has no cancellation near a separatrix.
+# The functions below take 1 - m, the complement of the parameter m. Near a separatrix, 1 - m computed from m loses digits.
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
-    """Return sn, cn and dn of the squared modulus m = 1 - complement, where the complement is above 0."""
+    """Return sn, cn and dn at `argument` for the squared modulus m = 1 - complement. The complement must be above 0."""
     if not 0 < complement <= 1:
         raise ValueError(f"complement = {complement!r}: must be above 0 and at most 1")
     mean = EllipticFunctions.of(np.asarray(1.0 - complement), np.asarray(complement))
@@ -66,8 +66,8 @@ class SymmetricTop:
 
         u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u.
 
-    Then u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). 1 - u and 1 + u have no cancellation. Starts and
-    results have psi' relative to a frame that turns at `frame_rate`. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
+    With constants lambda and delta, u = u2 - (u2 - u1) sn^2(lambda t + delta) between roots u1 and u2 of a cubic. No digits of 1 - u or
+    1 + u cancel. psi' is relative to a frame that turns at `frame_rate`. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class SymmetricTop:
         low, high = 2 * np.sin(theta0 / 2) ** 2, 2 * np.cos(theta0 / 2) ** 2
         self.spin = m + n * np.cos(theta0)
         self.a = (C * self.spin + rotor) / A
-        # In the letters of the class docstring, these are b - a and b + a.
+        # `upper` is b - a and `lower` is b + a, with the letters of the class docstring.
         self.upper, self.lower = low * (n * high - self.a), high * (n * low + self.a)
         self.flipped = weight < 0
         a, upper, lower, slope = self.a, self.upper, self.lower, np.sqrt(low * high) * theta_dot0
@@ -148,11 +148,11 @@ class SymmetricTop:
 
 
 class FreeGyrostat:
-    """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot, not in a steady motion.
+    """Torque-free gyrostat in a motion that is not steady. A rotor, if any, is along a principal axis.
 
-    The rotor's axis is the third axis, and the moments across it must differ. Energy and magnitude of the angular momentum give
-    A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of f and Weierstrass'
-    function P, which is computed by Jacobi's functions,
+    Axes are renumbered so that the rotor is along the third axis. The first two moments A and B must differ. Energy and magnitude of the
+    angular momentum give A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of f
+    and Weierstrass' function P, which is computed by Jacobi's functions,
 
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24).
 
@@ -225,7 +225,7 @@ class FreeGyrostat:
         self.turn = quarters * float(ellipkm1(self.complement)) / self.frequency
 
     def _find_phase(self, w: Array) -> None:
-        """Find the phase of the start. If r is the root `self.root`, w1 or w2 is 0. Find the initial sign of the other component."""
+        """Find the phase of the start, and the initial sign of `other`, the component w1 or w2 that is not 0 where r is `self.root`."""
         A, B, C = self.inertia
         # The slope gives sn, so that the phase is exact at a turning point of r.
         distance, slope = float(w[2] - self.root), float((A - B) * w[0] * w[1] / C)
@@ -259,7 +259,7 @@ class FreeGyrostat:
         rest, squares = self.momentum**2 - (C * r + self.rotor) ** 2, self.energy - C * r**2
         squared = ((rest - B * squares) / (A * (A - B)), (rest - A * squares) / (B * (B - A)))
         first, second = (np.sqrt(np.maximum(squared[i], 0.0)) for i in (self.zero_of, self.other))
-        # The larger of w1 and w2 follows from the square. The smaller component and its sign follow from w3' = (A - B) w1 w2 / C.
+        # The larger of |w1| and |w2| is the root of an element of `squared`. The other component follows from w3' = (A - B) w1 w2 / C.
         product = C * slope / (A - B)
         second_sign = self.sign * np.where(cn < 0, -1.0, 1.0) if self.both_turn else self.sign
         first_sign = np.where(product * second_sign < 0, -1.0, 1.0)
@@ -295,7 +295,7 @@ class FreeGyrostat:
 
 
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
-    """Return angles and rates of a body whose third axis is not along gamma. `w` contains the rate of the frame, psi' does not."""
+    """Return angles and rates of a body whose third axis is not along gamma. `w` includes the rate of the frame, but psi' does not."""
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
     psi_dot = (w[0] * gamma[0] + w[1] * gamma[1]) / sine**2
@@ -368,7 +368,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
 
 
 def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -> dict[str, float]:
-    """Return rms of theta', means of other rates, standard deviations, and the fraction outside a cylinder. Weights have the sum 1."""
+    """Return rms of theta', means of other rates, deviations of all, and the fraction of time outside a cylinder. `weight` adds up to 1."""
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
     if cylinder is not None:
         result["outside"] = float(weight @ (np.sin(motion.theta) >= cylinder))

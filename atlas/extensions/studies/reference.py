@@ -49,8 +49,8 @@ class Reference:
     """Reference solution of some points, with the uncertainty of the solution."""
 
     state: Array  # state at the end of the run, (states, points)
-    # Statistics of the main instrument, also the largest sine of theta ("sine_max") and the fraction of time "outside" the cylinder about
-    # the vertical. Statistics of psi' and phi' are NaN if the axis stays inside the cylinder.
+    # Statistics of the main instrument by name. "sine_max" is the largest sine of theta. "outside" is the fraction of time outside the
+    # cylinder about the vertical. Statistics of psi' and phi' are NaN if the axis stays inside the cylinder.
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
@@ -270,7 +270,7 @@ def _final_and_range(
     `values_along` returns the values and the time derivatives at states (states, points, instants). If a step fails, return None.
     """
     states, size = start.shape
-    # With a looser tolerance the sums shorten the steps only where a rate has a peak.
+    # The sums have a looser tolerance than the states, so that the sums shorten the steps only where a rate has a peak.
     tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, sums * size])
     initial = np.concatenate([start.ravel(), np.zeros(sums * size)])
     lowest = highest = at_start
@@ -352,7 +352,7 @@ def integrate_observed_group(
 
 
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
-    """Return the extremes, along the last axis, of cubics between instants at unit distance."""
+    """Return the extremes, along the last axis, of the cubics with these values and slopes at instants at unit distance."""
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
     # On 0 <= x <= 1 the cubic is value + left x + b x^2 + c x^3. It has an extremum inside if the end slopes left and right differ in sign.
     b, c = 3 * rise - 2 * left - right, left + right - 2 * rise

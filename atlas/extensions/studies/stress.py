@@ -40,7 +40,7 @@ from .stress_truth import (
 # The levels, coarse to fine, are fixed steps at these ratios to the stability limit, then automatic steps at these tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
-# Largest rate tolerance. The default grows with the natural rate, so that with a fast rotor all slow motions would be steady.
+# Largest rate tolerance. The default grows with the natural rate. With a fast rotor the default would label all slow motions steady.
 RATE_TOLERANCE = 1e-5
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
 # A point that needs more steps than this at a level is left out at this level.
@@ -224,7 +224,7 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Return a mask of resolved runs along exact motions in which the error of a statistic exceeds ten times `error_estimate`."""
+    """Return a mask of resolved runs along exact motions. The mask is true if a statistic's error exceeds ten times `error_estimate`."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_has_estimate(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
@@ -346,7 +346,7 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """Return two cases without variation, then a case for each parameter: +- default times powers of 10, values in the bounds, +- HUGE."""
+    """Return two cases of one motion each, and a case for each parameter with +- default x powers of 10, +- HUGE and values in bounds."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:
@@ -441,7 +441,7 @@ def constraint_bound(method: Method, y: float, steps: int) -> float:
 
 
 def constraint_change(system: System, method: Method, points: Points, y: float, steps: int) -> Array:
-    """Return the largest change of |gamma|, and for a satellite also of |alpha| and alpha.gamma, at y radians a step."""
+    """Return the largest change of |gamma| (and |alpha| and alpha.gamma of a satellite) in `steps` steps of length y / frequency bound."""
     state = _final_states(system, method.name, points, y / system.frequency_bound(points), steps)
     unit = state[3:].reshape(-1, 3, state.shape[1])
     changes = [np.abs(np.sqrt((vector**2).sum(0)) - 1) for vector in unit]

@@ -36,7 +36,7 @@ from ...systems.base import Array
 from ...variables import main_instrument, variables
 from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
-# The levels are the scene's tolerance times powers of 10 within these limits, or the scene's step times powers of 2.
+# The levels are the scene's tolerance times powers of 10, from MIN_TOLERANCE to MAX_TOLERANCE, or the scene's step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
 MAX_POINT_STEPS = 5e8  # a level takes at most this many steps, summed over the sample
 POINT_STEPS_TIMED = 6_000_000  # a timing takes about this many steps, summed over the points
@@ -469,7 +469,7 @@ def _error_texts(at: xr.Dataset, quantity: str) -> tuple[str, str]:
 
 
 def advice(ds: xr.Dataset) -> str:
-    """Return advice on the cheapest setting whose error is at most the scene's tolerance, or at most the error of the scene's step."""
+    """Return advice on the cheapest setting whose error does not exceed the scene's tolerance or, with a fixed step, the step's error."""
     name, rows, measured = ds.attrs["ladder"], summary(ds), ds.attrs["measured"]
     own = next((row for row in rows if row["own_setting"]), None)
     if name == "tolerance":

@@ -39,7 +39,7 @@ def random_point(rng: np.random.Generator) -> Point:
 
 
 def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """Return the point with further values, which are numbers or expressions in earlier names."""
+    """Return the point with further values. A value is a number, or an expression that may contain names of earlier values."""
     point = dict(point)
     for name, value in values.items():
         point[name] = expression(name, str(value)).value(point) + np.zeros(1)
@@ -106,7 +106,7 @@ def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Return the largest error of the stated precession and spin, compared with w computed from the axes X, Y, Z."""
+    """Return the largest error of the stated precession and spin, against the body's angular velocity w computed from the axes X, Y, Z."""
     motion = ENTRIES[entry["motion"]]
     point = with_values(random_point(rng), motion["start"])
 
@@ -170,7 +170,7 @@ def _largest_residual(entry: Entry, reading: str, rng: np.random.Generator) -> f
 
 
 def _free(rng: np.random.Generator) -> Point:
-    """Return a random state of a random body, in which sin theta is not small."""
+    """Return a random body in a random state in which sin theta is not small."""
     rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
     return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
 
@@ -315,7 +315,7 @@ MEASURES: dict[str, EntryMeasure | None] = {
     "start": _condition,
 }
 
-# These keys of MEASURES need an extension of the same name, which is not installed.
+# Each of these keys of MEASURES needs the extension of the same name, which is not installed.
 MISSING = [name for name in ("plane", "normal_form") if name not in extensions()]
 if MISSING:
     text = " and ".join(MISSING)

@@ -128,12 +128,12 @@ def fuses(name: str, features: str) -> bool:
 def settings() -> dict[str, str]:
     """Return the current settings of Numba that change the machine code, by name."""
     with global_compiler_lock:  # `_at_level` changes two settings for a while
-        numba.config.reload_config()  # the compiler also reads the environment anew
+        numba.config.reload_config()  # the compiler also reloads its settings from the environment
         return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
 
 
 def numeric_settings() -> dict[str, str]:
-    """Return the settings that change the results of kernels, by name. `architecture` records the effect of the processor's settings."""
+    """Return settings that change the results of kernels. Settings of the processor are left out: `architecture` records their effect."""
     return {name: value for name, value in settings().items() if name not in PROCESSOR_SETTINGS}
 
 

@@ -23,7 +23,7 @@ from .tableaux import Method
 # The mean time between samples is SAMPLE_RADIANS divided by the frequency bound. With this spacing the samples show that a motion
 # becomes faster (for example before the pericentre of an eccentric orbit) before the steps are too long for the motion.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Samples are early by up to EARLY times their mean distance. Equidistant samples could always meet a forcing at the same phase.
+# Samples are earlier than equidistant samples, by up to EARLY mean distances. Equidistant samples could meet a forcing at one phase only.
 EARLY = 0.5
 # The bound is at least this many turns per run, because a motion whose Jacobian vanishes at the start needs samples as well.
 LEAST_TURNS = 4
@@ -122,7 +122,7 @@ def _largest_frequency(
     # The time derivatives of the states are then ignored, because on steady motions these derivatives are rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
-    sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitudes of states and first three derivatives
+    sizes = np.zeros((4, *ensemble.state.shape))  # largest |x|, |x'|, |x''| and |x'''| of each state x
     samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
     steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
     mean_step_size, distances = duration / (samples * steps), _distances(samples.max())

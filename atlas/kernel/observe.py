@@ -89,7 +89,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights)
             if i >= 2:
                 compare_with_neighbours(sums, nodes, i, spacing)
-            if i >= 3:  # treat the middle interval of nodes i - 3 to i, and at a run's end the outer interval
+            if i >= 3:  # treat the middle interval of nodes i - 3 to i, and a run's first and last interval
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     extend_between(sums, nodes, turning, i, interval, spacing)
             if (i + 1) % NODES_PER_CHANGE == 0 or i == intervals:

@@ -50,7 +50,7 @@ class Term(IntEnum):
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
-    """Return 1.0 if sin^2 theta has a minimum between two nodes and near a zero of zeta, else 0.0, and the place of the minimum.
+    """Return whether sin^2 theta has a minimum between two nodes and near a zero of zeta (1.0 or 0.0), and the place of the minimum.
 
     Slopes are half the derivative of sin^2 theta. The parabola through these data must have a zero within REACH of the real axis.
     """
@@ -89,7 +89,7 @@ def zeta_differences(passages, e):
 
 
 def approximate_zero(passages, e, farther):
-    """Write the nearer or the farther zero of the parabola that osculates zeta at TIME, and the row FARTHER."""
+    """Write the nearer or the farther zero of the parabola that osculates zeta at TIME, and whether the farther zero is near the nodes."""
     x = passages[Passage.TIME, e]
     value, slope, curvature = polynomial(zeta_differences(passages, e), x)
     root = square_root(slope * slope - 4.0 * (curvature * value))
@@ -112,7 +112,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write the zero z of zeta, Laurent coefficients and errors for passage e into row `farther` (0 or 1) of `terms`, from `passages`."""
+    """Write the zero z of zeta in passage e, Laurent coefficients at z, and the errors of sums into row `farther` (0 or 1) of `terms`."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)
@@ -250,7 +250,7 @@ def turns_twice(f0, f1, s0, s1, rounding):
 
 
 def place_of_turn(f0, f1, s0, s1):
-    """Return the place of the extreme of a cubic between 0 and 1. Of two extremes, take the one nearer to 0.5."""
+    """Return the place, from 0 to 1, of a cubic's extreme nearest to 0.5. At 0 and 1 the values are f0 and f1, the slopes s0 and s1."""
     a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic at x is a x^2 + b x + s0
     b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))

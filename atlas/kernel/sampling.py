@@ -75,7 +75,7 @@ def quadrature() -> Quadrature:
         t, weight = t[~at_node], weight[~at_node]
         interval = np.minimum(t.astype(np.int64), intervals - 1)
         first_sample[intervals] = count + np.searchsorted(interval, np.arange(LONG + 1))
-        # A sample is interpolated from two nodes on either side, but in an interval at the end of a run from the four nodes there.
+        # A sample is interpolated from two nodes before and two after. The first (last) interval of a run uses the first (last) four nodes.
         first_node = np.clip(interval - 1, 0, intervals - 3)
         rows.append(np.column_stack([weight, hermite_weights(t - first_node)]))
         count += t.size
@@ -117,7 +117,7 @@ def stretched(start, end):
 
 
 def end_stretch(t):
-    """Return the correction of the variable of integration for an end of a run at the distance t, and the correction's derivative by t."""
+    """Return the term that an end of a run at the distance t brings to the variable of integration, and the term's derivative by t."""
     x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
     small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
     slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)
@@ -137,15 +137,15 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class EndWeights(NamedTuple):
-    """Corrections of the weights of the trapezoidal rule at the first four nodes, which are mirrored at the end of a run."""
+    """Corrections of the trapezoidal rule's weights at the first four nodes. The last four nodes have the corrections in reverse order."""
 
-    values: NDArray[np.float64]  # corrections for values, (4,); -1/2 in the first makes an end weigh 1/2
+    values: NDArray[np.float64]  # corrections for values, (4,); the first contains -1/2, for half a step
     slopes: NDArray[np.float64]  # weights of derivatives, (4,); their signs are opposite at the end of a run
 
 
 @cache
 def end_weights() -> EndWeights:
-    """Return the corrections, which do not depend on the length of a run.
+    """Return the corrections of the weights. They are the same for runs of every length.
 
     By the Euler-Maclaurin formula the integral over a run is the trapezoidal sum plus, for each k, B_2k / (2k)! times the
     derivative of order 2k - 1 at the start minus that at the end. The derivatives are taken from the Hermite interpolation of

@@ -21,7 +21,7 @@ MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
 STEPS_UNRESOLVED = 64
 MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
-# The interpolation of an oscillation between four nodes x rad apart has the relative error INTERPOLATION_ERROR * x^8.
+# If the phase of an oscillation grows by x rad per node, interpolation between four nodes has the relative error INTERPOLATION_ERROR * x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
 

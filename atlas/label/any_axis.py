@@ -78,11 +78,11 @@ def _circle(
 def near_circle(
     system: System, points: Points, duration: Array, rate_tolerance: Array | float, frame_rate: Array
 ) -> Mask:
-    """Return whether the angular velocity may stay on a circle in the body, as along a steady motion about any axes.
+    """Return whether the angular velocity may stay on a circle in the body. Steady motions about any axes require a circle.
 
-    No linear theory covers steady motions about any axes. Let v be the derivative of the angular velocity. On a circle v.v' = 0 and
-    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE tolerances within the time 1 / (frequency
-    bound). One is the change of the angular velocity, the other the departure from the circle that the first derivatives give.
+    No linear theory covers these motions. Let v be the derivative of the angular velocity. On a circle v.v' = 0 and
+    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE rate tolerances within the time
+    1 / (frequency bound). One is the change of the angular velocity. The other is the distance of the angular velocity from a circle.
     """
     bound, place = system.frequency_bound(points), system.equations.STATE.index
     state, constants = system.initial_state(points), system.constants(points)

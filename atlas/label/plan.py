@@ -34,7 +34,7 @@ class Plan:
     outputs: Collection[str] | None = None  # wanted variables, or None for `variables.default_variables`
     specialization: Specialization = GENERIC  # terms that the kernels leave out
     nudged: bool = False  # whether points were moved off the motions of a family
-    # Whether theory is compiled as well. Plain Python is faster for a few points.
+    # Whether theory, like the kernels, runs as machine code. Plain Python is faster for a few points.
     in_machine_code: bool = False
 
     @classmethod

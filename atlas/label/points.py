@@ -184,7 +184,7 @@ def label_points(
 
 @dataclass(frozen=True)
 class _Labels:
-    """Function that labels points. The arguments are arrays of parameters, then the durations. Dask may send the function elsewhere."""
+    """Function that labels points. The arguments are arrays of parameters, then the durations. Dask may send it to another process."""
 
     system: str
     settings: Settings

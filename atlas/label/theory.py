@@ -208,7 +208,7 @@ class Theory:
         residual = self.prediction.start_residual
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
         growth = np.where(sine == 0.0, least, self.rounding_growth)
-        measured = np.log(sine / np.fmax(residual, ROUNDING))  # growth from the start's residual to the tilt
+        measured = np.log(sine / np.fmax(residual, ROUNDING))  # logarithm of growth from residual to tilt
         growth = np.where(self.unknown_growth, measured, growth)
         tolerances = run.settings.tolerances
         return growth, rounding_limit(residual, run.bound, tolerances.rate, tolerances.angle)

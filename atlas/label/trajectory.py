@@ -101,10 +101,10 @@ def trajectory(
     Notes
     -----
     psi and phi begin at psi0 and phi0 (psi at 0 if the system has no psi0). Both angles are unwrapped along the steps of the
-    integration, so that neither the angles nor the axis depend on `samples`. The axis comes from a vector at rest in the
-    frame, which is integrated with the motion and is regular on the vertical. On the vertical psi and phi do not exist and are
-    nan. If the third axis passes close to the vertical, psi and phi both change by half a turn, so that psi + phi is
-    continuous (psi - phi at theta = pi). If the third axis passes exactly through the vertical, phi turns forward.
+    integration, so that neither the angles nor axis_x, axis_y, axis_z depend on `samples`. These components follow from a vector
+    at rest in the frame. The vector is integrated with the motion, and stays smooth where the third axis is vertical. There psi
+    and phi do not exist and are nan. If the third axis passes close to the vertical, psi and phi both change by half a turn, so
+    that psi + phi is continuous (psi - phi at theta = pi). If the third axis passes exactly through the vertical, phi turns forward.
     """
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     description = systems.get(system)
@@ -271,8 +271,8 @@ def _path(
     if motion.equations is system.equations:
         turns, _ = motion.turns(state[:, :-1], steps)
     else:
-        # The motions from all nodes are computed side by side, each with three known vectors, of which the first is horizontal. The
-        # first axis of the frame is a linear combination of the three vectors, because the equation of this axis is linear.
+        # The motions between nodes are computed side by side, each with three known vectors in place of the frame's first axis. The
+        # equation of this axis is linear, so that the axis is a fixed combination of the vectors. The first vector is horizontal.
         unit = vertical / np.linalg.norm(vertical, axis=0)
         body_axis = np.argmin(np.abs(unit), axis=0)
         first = np.eye(3)[:, body_axis] - unit * np.take_along_axis(unit, body_axis[None], 0)
@@ -366,7 +366,7 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add changes of psi and phi in short steps to `turns`. For long steps, return states before and after, and the motion's index."""
+        """Add changes of psi and phi over short steps to `turns`. Return states before and after long steps, and the motions' indices."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)
@@ -375,7 +375,7 @@ class _Motion:
         phi = np.angle(turn)
         # If the axis passes exactly through the vertical, phi changes by half a turn. The turn is forward, whatever the rounding.
         phi = np.where(phi < 0.1 - np.pi, phi + 2 * np.pi, phi)
-        # psi + phi is regular near the vertical, and psi - phi is regular near the opposite direction.
+        # psi + phi is continuous near theta = 0, and psi - phi is continuous near theta = pi.
         regular = np.angle(w1 * w0.conj() * np.where(g3 > 0.0, turn, turn.conj()))
         psi = np.where(g3 > 0.0, regular - phi, regular + phi)
         for total, change in zip(turns, (psi, phi), strict=True):

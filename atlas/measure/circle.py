@@ -43,13 +43,13 @@ class Axis(IntEnum):
 
     # A rotation about the vertical at FRAME_RATE is added to the angular velocity. X1 to X3 are the components of the axis x in the body.
     FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)
-    # Components along x, y, z of the angular velocity (START), its derivative (SLOPE) and the vertical, and |derivative|^2 (SPEED).
+    # START_X to START_Z are the angular velocity along x, y, z. SLOPE_X to SLOPE_Z are its derivative, START_SPEED_SQUARED |derivative|^2.
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):
-    """Trapezoidal sums of changes since the start, for the angular velocity u (X, Y, Z), u^2 (L), u'^2 (S), and products of two changes."""
+    """Trapezoidal sums of changes of the angular velocity u (X, Y, Z), u^2 (L) and u'^2 (S) since the start, and of products of changes."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
@@ -104,7 +104,7 @@ def circle_axes(
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
         u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
         du = np.where(np.isfinite(du), du, 0.0)  # a run that overflows is not resolved
-        # On a circle about s, u' = m u x s and u'' = m u' x s. z has the direction of u'' x u' = m |u'|^2 s, or any if u'' x u' is 0.
+        # On a circle about s, u' = m u x s and u'' = m u' x s. z is along u'' x u' = m |u'|^2 s, or along the third body axis if that is 0.
         direction = cross(ddu, du)
         size = np.sqrt(dot(direction, direction))
         exists = np.isfinite(size) & (size > 0)
@@ -119,8 +119,8 @@ def circle_axes(
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
     """Return statistics of the circle that is nearest to the angular velocities u of each run in one frame, (points,) each.
 
-    Let s be the normal of the best plane. In rad per time unit, `spread` is the standard deviation of u, and `extent` the smaller
-    principal deviation of u in the plane. `height` and `height_std` are the mean and the deviation of u along s. `radius` and
+    Let s be the normal of the plane that fits u best. In rad per time unit, `spread` is the standard deviation of u, and `extent` the
+    smaller principal deviation of u in the plane. `height` and `height_std` are the mean and the deviation of u along s. `radius` and
     `radius_std` are the root mean square and the deviation of the distance of u from the line along s. `spin` and `spin_std` are the
     rate of the body about s and the deviation of this rate. `rate_1` to `rate_3` are the mean of u along the body axes.
     `spin_axis_1` to `spin_axis_3` are the components of s, of either sign, along the body axes. Three statistics are angles in rad
@@ -288,7 +288,7 @@ class Circle(Instrument):
         return circle_axes(system.equations, start.state, start.constants, rate, bound)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Return the statistics of the circles as "label:statistic" and, in the system's frame, AXIS_RATES and ANGLES."""
+        """Return statistics of the circles by names such as "label_any_axis:radius". In the system's frame add AXIS_RATES and ANGLES."""
         circle = circle_statistics(*run.plugged(self), run.integration.intervals)
         with np.errstate(all="ignore"):
             circle["precession"] = np.hypot(circle["radius"], circle["height"] - circle["spin"])
@@ -297,7 +297,7 @@ class Circle(Instrument):
         return own | {f"{self.name}:{key}": value for key, value in circle.items()}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Return the rule of the label about any axis. A steady label about the third axis and the vertical is kept."""
+        """Return the rule of the label about any axis. If the label about the third axis and the vertical is steady, that label is kept."""
         own_label = rules[self.name.replace("_any_axis", "")].decide(run.measured)
 
         def label_of(measured: Measured) -> Flags:
@@ -322,7 +322,7 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return rounding errors of statistics, for rates up to the frequency bound. Errors grow on small circles about oblique axes."""
+        """Return rounding errors of statistics for rates up to the frequency bound. Small circles about oblique axes have larger errors."""
         size, measured = run.bound * relative, run.measured
         s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
         mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)
@@ -355,11 +355,11 @@ class Circle(Instrument):
             return np.minimum(error, 1.0)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Return the largest difference of AXIS_RATES between two runs, in units of the bound."""
+        """Return the largest difference of AXIS_RATES between two runs, in units of the frequency bound."""
         return self._change(run, other, AXIS_RATES) / run.bound
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Return the largest difference of ANGLES, and of AXIS_RATES in units of the bound, between two runs."""
+        """Return the largest difference of ANGLES, and of AXIS_RATES in units of the frequency bound, between two runs."""
         return np.fmax(self._change(run, coarse, AXIS_RATES) / run.bound, self._change(run, coarse, ANGLES))
 
     def _change(self, run: Run, other: Run, names: Collection[str]) -> Array:
@@ -382,7 +382,7 @@ def is_steady(label: Flags) -> Mask:
 
 
 def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
-    """Return labels about any axis, whatever the status. A steady `own_label`, about the third axis and the vertical, is kept."""
+    """Return labels about any axis. Where `own_label`, the label about the third axis and the vertical, is steady, that label is kept."""
     rate = tolerances.rate
     constant = circle["spread"] <= rate
     varies = (

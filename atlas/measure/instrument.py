@@ -1,4 +1,4 @@
-"""Instruments, which define variables, sums in the kernel, final formulas, errors, and rules for labels.
+"""Instruments, which define variables, sums in the kernel, formulas from sums to measurements, errors, and rules for labels.
 
 An instrument is a frozen object of a class derived from `Instrument`. The kernel of a plan's main instrument integrates the points
 (`label.plan`). Other instruments add sums to this kernel (`kernel.ensemble.Plug`) or run a kernel of their own.
@@ -108,7 +108,7 @@ class RunSettings:
 class Rule:
     """Rule by which a label follows from measurements."""
 
-    label: Callable[[Measured], Flags]  # the labels, whatever the status
+    label: Callable[[Measured], Flags]  # returns labels, whatever the status of the run
     statistics: tuple[str, ...]  # names of the measurements that decide the label
     # Name of a mean -> rate that is added to the mean. The label depends on the magnitude of the sum.
     means: Mapping[str, Array | float] = field(default_factory=dict)
@@ -146,7 +146,7 @@ class Rule:
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
-    """Whether the label changes if all measurements grow in magnitude by their errors, or if all shrink. theta_min changes conversely."""
+    """Whether the label changes if errors are added to all measured magnitudes, or subtracted. For theta_min the sign is opposite."""
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
@@ -328,7 +328,7 @@ class Instrument:
         return {}
 
     def relative_error(self, run: Run) -> Array:
-        """Return the expected relative error of the instrument's values, (points,)."""
+        """Return the expected relative error of the instrument's measurements, (points,)."""
         return np.zeros(run.ensemble.size)
 
     def rate_change(self, run: Run, other: Run) -> Array:
@@ -340,7 +340,7 @@ class Instrument:
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Compare two runs, and return the relative error of values of `run`, (points,). `expected` is the error expected of `run` alone."""
+        """Compare two runs, and return the relative error of `run`'s measurements, (points,). `expected` is the error from `run` alone."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -355,7 +355,7 @@ class Instrument:
 class MainInstrument(Instrument):
     """An instrument whose kernel integrates the points.
 
-    A subclass must implement `unsteadiness` and `largest` as well, and `early_stop_rate` if it overrides `may_stop_early`.
+    A subclass must implement `unsteadiness` and `largest`. If it overrides `may_stop_early`, it must also implement `early_stop_rate`.
     """
 
     has_theory = False  # whether theory predicts the labels
@@ -387,7 +387,7 @@ class MainInstrument(Instrument):
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """Return the rate above which a point drifts, whatever the expected error. See `kernel.ensemble.Ensemble.integrate`."""
+        """Return the rms of theta' above which a point drifts, whatever the expected error. See `kernel.ensemble.Ensemble.integrate`."""
         raise NotImplementedError
 
     def step_sizes(
@@ -405,7 +405,7 @@ class MainInstrument(Instrument):
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Return how much two runs differ in measurements that decide labels, or an estimate from their relative difference `relative`."""
+        """Return differences of two runs in measurements that decide labels, or estimates from the runs' relative difference `relative`."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

@@ -32,8 +32,8 @@ END_TIME = Variable("end_time", "float64", "s", "time at which the integration e
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
-# Constants for a third axis that starts in the cylinder. The nodes resolve its path where sin(theta) exceeds LEAVING_SINE. If the path
-# turns by more than MISSED_TURN (rad) between two nodes, the nodes do not show how the axis leaves the cylinder.
+# Constants for a third axis that starts in the cylinder about the vertical. The nodes resolve the path of the axis where sin(theta) is
+# above LEAVING_SINE. If the path turns by more than MISSED_TURN (rad) between two nodes, the nodes do not show how the axis leaves.
 LEAVING_SINE, MISSED_TURN = 0.03, 50.0
 _NO_MEANING = "nan where the third axis counts as inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
@@ -108,11 +108,11 @@ class Rates(MainInstrument):
         return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / bound)
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """Return the bound, or infinity where the bound does not hold for the whole run."""
+        """Return the frequency bound, or infinity where frequencies may exceed the bound later in the run."""
         return np.where(settled, bound, np.inf)
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Whether the run is resolved, even if the tangent vectors are not."""
+        """Whether the atlas holds the measurements. The steps must suffice for the run, but need not suffice for tangent vectors."""
         return run.step_sizes.resolved
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
@@ -120,7 +120,7 @@ class Rates(MainInstrument):
         return {statistic.name for statistic in STATISTICS}.isdisjoint(outputs)
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """Return the rate (rad per time unit) above which a point drifts, whatever the expected error, (points,)."""
+        """Return the rms of theta' (rad per time unit) above which a point drifts, whatever the expected error, (points,)."""
         # The divisor is at most 0.1, so that `rounding` is no smaller than the rounding error in `Run.rules`.
         rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps) / np.minimum(tolerances.angle, 0.1)
         absolute = step_sizes.rate_error + rounding
@@ -161,7 +161,7 @@ class Rates(MainInstrument):
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Return rounding errors. The error of a rate is `relative` times the frequency bound, for psi' and phi' divided by sin(theta)."""
+        """Return rounding errors. A rate has the error `relative` times the frequency bound, divided by sin(theta) for psi' and phi'."""
         size = run.bound * relative
         of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
         names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
@@ -186,8 +186,8 @@ class Rates(MainInstrument):
         """Return the relative error of states and statistics from the difference between the runs.
 
         The error of the states follows from the difference of the final states and the order of the method. Statistics converge at no
-        clear order. The difference of a statistic counts as the error, but at least 0.3 of the error that follows from the states,
-        because two runs may agree by chance. If the run `coarse` is not resolved, the result is at least `expected`.
+        clear order. Their error is the difference between the runs, or 0.3 of the error that follows from the states if that is
+        larger, because two runs may agree by chance. If the run `coarse` is not resolved, the result is at least `expected`.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):
@@ -285,7 +285,7 @@ def steady_label(
 
 
 def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
-    """Whether sin(theta) is below the tolerance at all nodes, or at half or more while theta varies by at most the tolerance."""
+    """Whether sin(theta) is below the tolerance at all nodes. Half of the nodes suffice if theta varies by at most the tolerance."""
     inside = np.asarray(measured["sine_max"] < cylinder_tolerance)
     at_most_nodes = ~inside & (measured.get("outside", np.ones(1)) <= 0.5)
     if at_most_nodes.any():
@@ -301,9 +301,9 @@ def _least_sine(measured: Measured) -> Array:
 def _with_statistics(state_error: Array, run: Run) -> Array:
     """Return the relative error of states and statistics, from the error of the states.
 
-    Interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is at least 1
-    where the third axis passed through the cylinder. If a run starts in the cylinder, nodes close to the start show how the axis
-    leaves, and the error is smaller. The path of a slow axis may turn much between two nodes, which makes the error larger again.
+    Interpolation between nodes adds to the error of the angles. The error of psi' and phi' is larger near the vertical, and at least 1
+    if the third axis passed through the cylinder about the vertical. The error is smaller if the run starts in the cylinder, because
+    nodes close to the start show how the axis leaves. They show less of a slow axis, whose path may turn much between two nodes.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)
@@ -344,7 +344,7 @@ def tolerated_error(settings: StepSettings, step_sizes: StepSizes, bound: Array)
 
 
 def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
-    """Return the largest difference of a component between two states. Angular velocities are measured in units of the bound."""
+    """Return the largest difference of a component between two states. Angular velocities are divided by the frequency bound."""
     difference = np.abs(state - other)
     difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
     return np.asarray(difference.max(0))

@@ -40,7 +40,7 @@ RELATIVE_COST = 1.5
 # by the factor d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix
 # and cause the growth. Falls of 14 to 22 were then measured. Along chaotic motions falls were at most 7.
 MAX_DRAWDOWN = 10.0
-# Bound of the growth of L (see MAX_DRAWDOWN) near an unstable motion, at d > 1e-8. Theory gives about ln(1/d^2) < 37, and runs up to 39.
+# Bound of the growth of L near an unstable motion, at d > 1e-8 (see MAX_DRAWDOWN). Theory gives about ln(1/d^2) < 37. Runs gave up to 39.
 MAX_PASSAGE_GROWTH = 50.0
 # Limits of mean MEGNO. In regular motions MEGNO tends to 2 or less. In chaos MEGNO grows like L / 2. For L see MAX_DRAWDOWN.
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
@@ -185,7 +185,7 @@ class TangentRuns:
     kernel: ModuleType  # see `kernel.specialization.tangent_kernel`
     ensemble: Ensemble
     steps: TangentSteps
-    rate_unit: Array  # see `rate_unit`
+    rate_unit: Array  # unit of angular velocities in norms of tangent vectors
     share: float  # work of these runs, divided by the work of all runs of the points
 
     @classmethod
@@ -213,7 +213,7 @@ class TangentRuns:
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 
     def _separation(self, where: NDArray[np.int64], threads: blocks.Threads) -> Separation:
-        """Return tangent vectors of the points `where` at the end of the runs. Progress advances by `share` of all points."""
+        """Return tangent vectors of the points `where` after the runs. Progress advances by `share` times the number of all points."""
         steps = self.steps.subset(where)
         separation = Separation(
             self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
@@ -223,7 +223,7 @@ class TangentRuns:
         return separation
 
     def growth(self, where: Mask, threads: blocks.Threads) -> Array:
-        """Return the logarithm of the largest growth of a tangent vector. Progress advances by `share` of all points.
+        """Return the logarithm of the largest growth of a tangent vector. Progress advances by `share` times the number of all points.
 
         The result is infinite where the steps do not resolve the growth, and nan outside `where`.
         """
@@ -239,7 +239,7 @@ class TangentRuns:
     def variables(
         self, columns: Mapping[str, np.ndarray], unstable: Mask, threads: blocks.Threads
     ) -> dict[str, np.ndarray]:
-        """Return the variables of chaos, which are missing unless the status is ok. Progress advances by `share` of all points."""
+        """Return variables of chaos, missing where the status is not ok. Progress advances by `share` times the number of all points."""
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
         flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)

@@ -1,4 +1,4 @@
-"""Drawing of the values of an atlas, as cells over two axes, or as a curve or levels of flags over one axis."""
+"""Drawing of the values of an atlas. Over two axes, values are cells. Over one axis, numbers are a curve and flags are a step curve."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def draw_levels(
     ax.tick_params(axis="y", length=0)
 
 
-# Area of all dots, which together cover a panel about once, and limits of the area of a dot, in square points.
+# Areas in square points. All dots of a panel have the area PANEL_AREA together, about that of the panel. A dot has MIN_DOT to MAX_DOT.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
@@ -143,7 +143,7 @@ def color_scale(
     name: str = "",
     angle: bool = False,
 ) -> ColorScale:
-    """Return the colour scale of numbers, or of flags by their colours. Options that do not suit the values raise BadInput."""
+    """Return the colour scale of `values`, or of flags that have the colours `flags`. Options that do not suit `values` raise BadInput."""
     if flags:
         return ColorScale(ListedColormap(flags), BoundaryNorm(np.arange(len(flags) + 1) - 0.5, len(flags)))
     options = MapOptions() if options is None else options
@@ -224,7 +224,7 @@ MAX_EXPONENT_DECADES = 3  # largest number of decades of the colour scale
 
 
 def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
-    """Return the Lyapunov exponents of chaotic points, and nan at other points, or None for a map of another variable."""
+    """Return Lyapunov exponents, nan at points that are not chaotic. Return None if the map is not of regularity or has no exponents."""
     if flags.name != "regularity" or "lyapunov" not in ds or {*ds["lyapunov"].dims} != {*flags.dims}:
         return None
     exponents = ds["lyapunov"].transpose(*flags.dims).values
@@ -346,7 +346,7 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_lines(ax: Axes, lines: list[np.ndarray], style: dict[str, Any], *, halo: float) -> None:
-    """Draw lines over a white halo without dashes, which is `halo` points wide on each side and lies below all lines.
+    """Draw lines over a white halo. The halo has no dashes, extends `halo` points to each side of a line, and lies below all lines.
 
     Lines over two axes are one path with gaps, because Matplotlib takes milliseconds for each path.
     """

@@ -64,7 +64,7 @@ class Panel:
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
-    """Return the panel with `crowded` filled in, and without hatching too small to be seen or kinds of lines that stay near the frame."""
+    """Return the panel with `crowded` set. Remove hatching too small to be seen, and each kind of line that stays near the frame."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     is_visible = slow.mean() >= MIN_VISIBLE
     if is_visible:
@@ -73,7 +73,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
         is_visible = binary_erosion(slow, np.ones(box)).any()
 
     def is_inside(line: np.ndarray) -> bool:
-        """Whether a line enters INSIDE. On a map with one axis a line is a value."""
+        """Whether a line enters INSIDE, the map without a narrow rim. On a map with one axis, a line is a value of this axis."""
         places = [np.interp(v, e, np.linspace(0, 1, e.size)) for v, e in zip(line.T, edges, strict=True)]
         path = Path(np.transpose(places if len(places) == 2 else [places[0].repeat(2), [0, 1]]))
         return path.intersects_bbox(INSIDE, filled=False)
@@ -87,7 +87,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
 
 
 def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
-    """Return which fraction of the crossed cells is crossed twice, as by both sides of a region narrower than a cell."""
+    """Return which fraction of the cells that lines cross is crossed twice. The two sides of a region narrower than a cell do this."""
     if len(edges) == 1:
         return 0.0
     samples, start = [], 0.0
@@ -101,7 +101,7 @@ def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
     order = np.lexsort([along, *cell])
     same = (np.diff(np.array(cell)[:, order]) == 0).all(0)
     returns = np.r_[False, same & (np.diff(along[order]) > RETURN)]
-    first = np.cumsum(~np.r_[False, same])[returns]  # index of the cell of each return
+    first = np.cumsum(~np.r_[False, same])[returns]  # numbers of the cells to which lines return
     return float(np.unique(first).size / (1 + (~same).sum()))
 
 
@@ -190,7 +190,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     if "computed" in ds:
         missing &= ds["computed"].values == 1  # a cell without a run shows the nearest integrated point
     reasons = np.full(array.shape, "", object)
-    run = next((each for each in ("label", "status") if each in ds), None)  # the flag 0 means no motion
+    run = next((each for each in ("label", "status") if each in ds), None)  # flag 0 of `run` is no motion
     not_computed = missing & (ds[run].values == Label.NOT_COMPUTED if run else bool(flags))
     reasons[missing] = NO_THEORY if is_theory(system_of(ds), name) else NO_VALUE
     reasons[not_computed] = NO_MOTION
@@ -231,7 +231,7 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
 
 
 def remarks(ds: xr.Dataset, *, filled: bool) -> list[str]:
-    """Return sentences to print below a map, on gaps filled with the nearest values and on an unfinished run."""
+    """Return sentences to print below a map. They tell of gaps filled with the nearest values and of an unfinished run."""
     tiles = tiles_done(ds)
     sentences = []
     if filled and "computed" in ds:

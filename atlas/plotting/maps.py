@@ -114,7 +114,7 @@ class View:
     flags: Mapping[str, str]  # name of a flag -> colour, in the order of the values; empty for numbers
     flag_texts: Mapping[str, str]
     axes: list[str]  # names of the axes, x first
-    labels: list[str]  # labels of the axes, x first; the second label of a curve is the variable
+    labels: list[str]  # labels of the axes, x first; the y axis of a curve is labelled with the variable
     bar_label: str
     log: list[bool]  # whether each axis is logarithmic
     edges: list[np.ndarray]  # edges of cells along each axis, x first, or coordinates of points
@@ -124,7 +124,7 @@ class View:
     texts: list[str] = field(default_factory=list)  # one text above the panel, or texts of row and column
     exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, nan in other cells
     heading: str = ""  # label of the variable if neither an axis nor a colour bar shows the label, else empty
-    from_theory: bool = False  # whether theory alone gives the variable; lines then need no mark as theory
+    from_theory: bool = False  # whether theory alone gives the variable; the legend then omits "(theory)"
 
     def named(self) -> View:
         """Return the view with the heading added to the last text."""
@@ -214,7 +214,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
     name, flags = view.args[:2]
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # drops axes over which the variable was averaged
     select, degrees = options.select or {}, options.degrees
-    in_input = degrees is True  # whether the caller gives degrees; a scene's degrees concern output alone
+    in_input = degrees is True  # whether angles in `select` are in degrees; display_units only change output
     plane, dims, panel_dims = plane_of(
         ds, options.x, options.y, select, options.row, options.col, degrees=in_input
     )
@@ -327,13 +327,13 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels row by row with one legend."""
     check_options(views, options)
-    # The legend names the flag variable if there is only one, and there is no title or `ax` is given. Else panels name flag variables.
+    # The legend names a single flag variable. Without `ax`, panels name flag variables instead if there are several or a title is given.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):
         views, heading = [view.named() for view in views], ""
     options = replace(options, title=options.title and drawable(options.title))
-    # Curves of flags need the width, because the names of the flags stand beside the curve.
+    # On a narrow figure, curves of flags need a whole row, because the names of the flags stand beside the curve.
     most = 4 if options.size_mm[0] >= 130 else 1 if views[0].is_curve and views[0].flags else 2
     columns = options.columns or (1 if options.row else min(len(views), most))
     if len(views[0].texts) == 2:
@@ -460,7 +460,7 @@ class Sheet:
         return figure, axes[: self.panels]
 
     def _draw_legend(self, figure: Figure, legend: Entries) -> float:
-        """Draw the title, and the legend in as many columns as fit, above the panels, and return the height of both in mm."""
+        """Draw title and legend above the panels. The legend has as many columns as fit. Return the height of title and legend, mm."""
         width = self.options.size_mm[0]
         texts = [wrapped(text, width - 9.0, 7, figure.dpi) for text in legend]
         size, text = (9, self.options.title) if self.options.title else (8, self.heading)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap, Normalize
 
 Width = Literal["column", "page"] | float
-WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
+WIDTHS = {"column": 88.0, "page": 180.0}  # widths of one and of two columns of a journal, mm
 MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
 MIN_DPI, MAX_DPI = 10.0, 2400.0
 NORMS = ("linear", "log", "symlog", "asinh")

@@ -123,11 +123,11 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each flag. Few numbered flags have the colours QUALITATIVE. Others are coloured by name or by luminance."""
+    """Return the colour of each flag. Numbered flags use QUALITATIVE if they are few. Other colours are chosen by name or luminance."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
-    # The first flag is white and uses no shade, so its shade may lie beyond the light end of the map. Magma has more distinct colours.
+    # The first flag is white, so its shade may lie beyond the light end of the colour map. Magma has more distinct colours than cividis.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))

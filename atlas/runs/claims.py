@@ -17,7 +17,7 @@ SUFFIX = ".claim"
 POLL = 0.5  # seconds between two attempts to claim
 # A claim expires CLAIM_AGE seconds after the last sign of life. A process gives a sign of life every CLAIM_INTERVAL seconds.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
-NAMELESS_AGE = 10.0  # a claim without a process name (the disk was full) expires after this number of seconds
+NAMELESS_AGE = 10.0  # seconds until a claim without a process name, written on a full disk, expires
 NAMED_AFTER = 5.0  # after a wait of this number of seconds, a message names the process with the claim
 TAKEOVER = 0.2  # seconds that processes wait to see which of them took over an expired claim last
 

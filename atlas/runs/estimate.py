@@ -63,7 +63,7 @@ class _Cost:
 
 
 def _cost(plan: ScenePlan, processors: int) -> _Cost:
-    """Measure one tile on a number of processors, and return the expected cost of the scene."""
+    """Measure time and memory of one tile on this number of processors, and return the expected cost of the scene."""
     scene, exists = plan.scene, plan.sample.exists
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
@@ -157,7 +157,7 @@ def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """Return time and memory of the largest job, and SLURM options for double amounts. `expected` is the cost on `measured` processors."""
+    """Return time and memory of the largest job, and SLURM options for twice as much. `expected` is the cost on `measured` processors."""
     tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)
@@ -218,7 +218,7 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
 def _folder_bytes(
     plan: ScenePlan, cost: _Measurement, integrated: float, points: int, *, is_joined: bool
 ) -> float:
-    """Return the bytes of tiles on the disk. Of the `points`, `integrated` have values. Tiles to be joined are not compressed."""
+    """Return the bytes of tiles on the disk. Only `integrated` of the `points` have values. Tiles to be joined are not compressed."""
     stored = points * bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
     return stored + HEADER_BYTES * math.ceil(points / math.prod(plan.tiling.tile))
 
@@ -260,7 +260,7 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
 
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
-    """Compile the kernel by integrating one point, and then measure a tile from the middle of the grid."""
+    """Compile the kernel by integrating one point, and then measure time, memory and size of a tile from the middle of the grid."""
 
     def most_memory() -> float:
         """Return the peak memory of this process so far in bytes."""

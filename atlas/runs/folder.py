@@ -157,7 +157,7 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
 
 
 def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | None) -> None:
-    """Write the notes of a run if no tile is missing. `totals` are the sums over all tiles, or None after a shard."""
+    """Write the notes of a run if no tile is missing. `totals` are the Totals of all tiles, or None if a single shard was run."""
     if folder.tiles.missing():
         return
     if totals is None:
@@ -282,7 +282,7 @@ class _Job:
 
     run: RunFolder
     tiles: Tiles
-    share: range  # tiles of the shard, or all tiles of a level, because the next level needs the whole level
+    share: range  # tiles of the shard; of a refined run all tiles of a level, as the next level needs them
     execution: Execution
     level: int | None = None
     stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
@@ -320,7 +320,7 @@ class _Job:
             tiles = claimed
 
     def compute(self, bar: Progress) -> Totals:
-        """Compute missing and damaged tiles and return the sums over `share`. Raise Stopped if the time is up before the end."""
+        """Compute missing and damaged tiles, and return the Totals of `share`. Raise Stopped if the time is up before the last tile."""
         size_of, written = self.tiles.tiling.size_of, self.tiles.written()
         unfinished = [tile for tile in self.share if tile not in written]
         done = sum(size_of(tile) for tile in self.share if tile in written)

@@ -105,7 +105,7 @@ class Level:
             raise BadInput(damaged_message(place, error)) from None
 
     def read(self, indices: np.ndarray) -> Iterator[Part]:
-        """Yield, tile by tile, the points of the level from indices[0] to indices[-1] and the variables at the points."""
+        """Yield, tile by tile, the flat indices of the level's points from indices[0] to indices[-1], and the variables at these points."""
         start, end = np.searchsorted(self.points, (indices[0], indices[-1] + 1))
         for tile in range(start // self.length, -(-end // self.length) if end > start else 0):
             inside = slice(max(start - tile * self.length, 0), end - tile * self.length)

@@ -64,7 +64,7 @@ class Execution:
     def of(
         cls, scene: Scene, reuse: str | Path | Sequence[str | Path], options: Mapping[str, Any]
     ) -> Execution:
-        """Return the execution of a scene. `reuse` are paths of earlier atlases, `options` are options of `execution.run`."""
+        """Return the execution of a scene. `reuse` has the paths of earlier atlases, and `options` has the options of `execution.run`."""
         from ..kernel.machine_code import check_compiler  # reading a run needs no compiler
 
         check_compiler()
@@ -86,7 +86,7 @@ class Execution:
         return cls(plan, earlier, **{**options, "shard": shard})
 
     def name_cheaper_method(self) -> None:
-        """Print the costs of the other methods before the progress, if a method is cheaper than that of the scene."""
+        """If another method is cheaper than the scene's method, print the costs of all other methods above the progress."""
         costs = {} if self.plan.has_chaos or not self.progress else self.plan.relative_costs
         if min(costs.values(), default=1) < 1:
             with announced(True):

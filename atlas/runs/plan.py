@@ -101,7 +101,7 @@ class ScenePlan:
 
     @cached_property
     def growth_work(self) -> float:
-        """Mean work for the growth of errors, in steps of the method of the scene, as if the growth were needed at every point."""
+        """Mean work per point for computing the growth of errors at every point, in steps of the scene's method."""
         from ..measure.rates import tolerated_error
 
         if not self.runs.needs_growth:
@@ -230,7 +230,7 @@ class ScenePlan:
         ]
 
     def statistics_lines(self) -> list[str]:
-        """Return a sentence if statistics or a transient prevent runs from ending early."""
+        """Return a sentence if a transient, or the need for statistics, prevents runs from ending early."""
         before, until = np.sum(self.sample.transient), self.sample.until.sum()
         if self.runs.may_stop_early and before > 0:
             return [

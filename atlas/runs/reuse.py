@@ -104,7 +104,7 @@ class Earlier:
 
 
 def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
-    """Raise BadInput if `old` gives other bits than `scene`, lacks variables of `scene`, or shares no points with `scene`."""
+    """Raise BadInput if `old` and `scene` give values of different bits, if `old` lacks variables of `scene`, or if no point is shared."""
     own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
     if different := differences(own_facts, facts, f"in {path}", "in the scene"):
         raise BadInput(

@@ -5,7 +5,7 @@
     NAME/tiles/00012/00012345.tile   variables of tile 12345 in a run of more than 1000 tiles
     NAME/levels/                     levels of a refined run, described in `levels`
     NAME/progress-PROCESS.json       progress of a process, for people and scripts
-    NAME/notes.json                  attributes and sums over the tiles of a finished run
+    NAME/notes.json                  attributes of a finished run, and the Totals of its tiles
 
 Nothing is locked, because files appear whole, and a tile that is computed twice has the same values. All files contain a hash
 except the progress files, which no computation reads.
@@ -173,7 +173,7 @@ class RunFolder:
                 run.check_same(plan)
                 return
         if run is None:
-            return  # If the path holds something else, `prepare` refuses the path later.
+            return  # If the path holds something other than a run, `prepare` refuses the path later.
         processes = (process for _, process in claims.claimants(run.place) if process)
         if at_work := [*processes, *run.hosts()]:
             process = claims.named(at_work[-1], run.hosts())
@@ -183,7 +183,7 @@ class RunFolder:
         run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
-        """Raise BadInput if the run has another scene, or if this process would compute other bits."""
+        """Raise BadInput if the run has another scene than `plan`, or other versions, hashes or processor properties than this process."""
         stored = _flatten(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
         current = _flatten(tomllib.loads(plan.scene.toml())) | identity(plan.runs)
         different = differences(stored, current, "in the folder", "now")
@@ -285,7 +285,7 @@ class RunFolder:
         return dataset.dataset(self.scene, zeros, self.tiling.tile)
 
     def attributes(self, totals: Totals) -> dict[str, Any]:
-        """Return the attributes of the atlas. `totals` are sums over the tiles."""
+        """Return the attributes of the atlas. `totals` has the numbers of points and tiles, and the seconds, summed over all tiles."""
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -302,7 +302,7 @@ class RunFolder:
         return attributes | self.notes()[0]
 
     def save_notes(self, attributes: dict[str, Any], totals: Totals) -> None:
-        """Save the attributes of a finished run, and the sums over the tiles."""
+        """Save the attributes of a finished run, and the Totals of the run's tiles."""
         self.check_kept()
         content = {"key": self.key, "attributes": attributes, "totals": totals.table()}
         self.place.write(NOTES, files.sealed(content).encode())

@@ -64,7 +64,7 @@ class Expression:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # A text such as 1if gives only a warning.
+                warnings.simplefilter("error")  # Otherwise a text such as 1if would only give a warning.
                 tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None

@@ -44,7 +44,7 @@ def solution(
 def near_values(
     system: System, family: Family, solve: Sequence[str], table: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Return a value for each parameter of which the scene chooses one of several solutions. The solution nearest to the value is taken."""
+    """Return values from `branch` or `near` by parameter. Of several solutions, a parameter takes the solution nearest to its value."""
     key = next((key for key in ("branch", "near") if key in table), "")
     if "branch" in table and "near" in table:
         raise BadInput("family: branch and near are both given; a scene has one of them")

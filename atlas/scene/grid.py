@@ -270,7 +270,7 @@ def durations(
 
 
 def check(scene: Scene) -> Grid:
-    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid. At least one can be computed.
+    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid. At least one point can be computed.
 
     Raise BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
     """
@@ -420,7 +420,7 @@ def settling_warnings(system: System, points: Grid) -> list[str]:
 
 
 def settings_lines(scene: Scene, sample: Grid) -> list[str]:
-    """Return a sentence, in a list, with the ranges of a duration, rate tolerance and transient that are arithmetic."""
+    """Return a list of one sentence with the ranges of a duration, rate tolerance and transient given as formulas, or an empty list."""
     settings = (
         ("duration", scene.duration.amount, sample.duration, "time units"),
         ("rate_tolerance", scene.settings.rate_tolerance, sample.rate_tolerance, "rad per time unit"),
@@ -440,7 +440,7 @@ def _interval(low: float, high: float) -> str:
 
 
 def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
-    """Return a mask of grid points around which values differ within `window`, a number of points along each axis."""
+    """Return a mask of the grid points whose window contains different values. `window` has the number of points along each axis."""
     from scipy.ndimage import maximum_filter, minimum_filter  # a slow import that most runs do not need
 
     return np.asarray(maximum_filter(values, window) != minimum_filter(values, window))

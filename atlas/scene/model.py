@@ -141,7 +141,7 @@ class Duration:
     """Length of the runs."""
 
     amount: float | str = f"60 / {NATURAL_RATE}"  # number in `unit`, or arithmetic that gives time units
-    unit: str = ""  # "orbits", "turns" (periods of the slower of the rates n and m), or "" for time units
+    unit: str = ""  # "orbits", "turns" (periods of psi or phi, whichever is slower), or "" for time units
 
     @property
     def toml(self) -> float | str:

@@ -1,4 +1,4 @@
-"""Checks of columns that are no parameters. A column that is probably a mistyped parameter is refused."""
+"""Checks of columns that are not parameters. A column that is probably a mistyped parameter is refused."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether `_is_nearly_number` accepts a text, or the text has a decimal point and each of its parts is accepted."""
+    """Whether a text is nearly a number, or has a decimal point and consists of separated parts that are nearly numbers."""
     parts = re.split(r"[\s,;|/&]+", field)  # Colons are left out, because they occur in times of day.
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 

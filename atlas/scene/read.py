@@ -258,7 +258,7 @@ def _expressions(table: Mapping[str, Any], seed: int) -> dict[str, Expression]:
 
 
 def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[tuple[str, ...], str]:
-    """Return the outputs in the order of the registry, and the variable that maps show, or "". `of_atlas` drops unknown outputs."""
+    """Return the outputs in the order of the registry, and the variable that maps show, or "". If `of_atlas`, drop unknown outputs."""
     checks.check_keys(table, "outputs.", ("variables", "map"))
     registry = variables(system)
     listed = table.get("variables", default_variables(system))

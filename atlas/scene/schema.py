@@ -98,7 +98,7 @@ def _table_of(description: str, values: Schema) -> Schema:
 
 
 def _without(*keys: str) -> Schema:
-    """Return the schema of a table without the given keys."""
+    """Return a schema for tables that have none of the given keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}
 
 

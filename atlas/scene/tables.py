@@ -150,9 +150,9 @@ def read(
 def kept_columns(
     system: System, table: Mapping[str, Any], keep: Collection[str] = (), ties: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Return the columns that name points, which are texts, IDENTIFIERS and `keep`. Raise BadInput for mistyped parameters.
+    """Return the columns that name points. Raise BadInput for probably mistyped parameters, and for angles in other units than rad.
 
-    Columns that are named in `ties` contain numbers that ties use, and are left out.
+    These columns contain texts, or are named in IDENTIFIERS or `keep`. Columns named in `ties` contain numbers and are left out.
     """
     import xarray as xr
 
@@ -357,7 +357,7 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
 
     The first line names the columns. If this line has numbers, an earlier comment may name the columns, as in files of numpy.savetxt.
     """
-    number = size = 0  # number of the last line, and number of characters, that have been read
+    number = size = 0  # number of the last line read, and number of characters read so far
     comments: deque[str] = deque(maxlen=MAX_COMMENTS)
 
     def content_lines() -> Iterator[str]:

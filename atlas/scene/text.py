@@ -49,7 +49,7 @@ def open_text(path: Path | None) -> Iterator[TextIO]:
 
 
 def read_text(path: Path | None) -> str:
-    """Return at most MAX_CHARACTERS + 1 characters of a text in UTF-8, because a device may have no end."""
+    """Return at most MAX_CHARACTERS + 1 characters of a text in UTF-8, because a file such as /dev/zero has no end."""
     with open_text(path) as file:
         return file.read(MAX_CHARACTERS + 1)
 

@@ -61,7 +61,7 @@ class Format(Protocol):
 
     @abstractmethod
     def has_hash(self, path: Path | str) -> bool:
-        """Whether an atlas has the hash that `verify` compares. A copy by another program and an unreadable file have none."""
+        """Whether an atlas has the hash that `verify` checks. A copy by another program and an unreadable file have none."""
 
     def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path | str:
         """Return the path for a new atlas. Raise BadInput as `files.writable` does, or if an existing file has no hash."""
@@ -76,7 +76,7 @@ class Format(Protocol):
 
 
 def suffixes() -> dict[str, str]:
-    """Return the purposes of suffixes, by suffix. Raise BadInput if the suffix of an extension is taken or not in lower case."""
+    """Return a text such as "for one file" for each suffix. Raise BadInput if the suffix of an extension is taken or not in lower case."""
     all_suffixes = {suffix: atlases for suffix, (_, atlases) in FORMATS.items()}
     for suffix, (extension, _) in parts("formats").items():
         if suffix in all_suffixes or suffix != Path(f"a{suffix}").suffix.lower():

@@ -1,7 +1,7 @@
 """The finished atlas as a NetCDF file, with a hash of the content.
 
-Any program that reads the file compares the Fletcher checksums of chunks and headers. Index tables of chunks, and scalars, have no
-checksum. `verify` compares the attribute HASH, a hash of the dimensions, attributes and values that are read back after writing.
+Any program that reads the file checks the Fletcher checksums of chunks and headers. Index tables of chunks, and scalars, have no
+checksum. `verify` hashes the dimensions, attributes and values in the file, and compares the result with the attribute HASH.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ class Tally:
 
     def __init__(self) -> None:
         # `counts` maps each variable to numbers of points by flag, and each group in GROUPS to numbers of points by bin of errors.
-        # `largest` has the largest integral_drift, and the largest errors of each group and of unstable and other points of all groups.
+        # `largest` has the largest integral_drift, and largest errors of each group, of unstable points, and of other points in any group.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod
@@ -65,13 +65,13 @@ class Totals:
 
     points: int = 0
     seconds: float = 0.0
-    by: Counter[str] = field(default_factory=Counter)  # number of tiles by process
+    by: Counter[str] = field(default_factory=Counter)  # number of tiles by computing threads or workers
     cpu: Counter[str] = field(default_factory=Counter)  # number of tiles by type of processor
     reused: Counter[str] = field(default_factory=Counter)  # number of points taken from each earlier atlas
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:
-        """Add the header of a tile, or the result of `table` of other totals."""
+        """Add the numbers in a tile's header, or the numbers that the method `table` of other Totals returned."""
         self.points += header["points"]
         self.seconds += header["seconds"]
         for name, tiles in {"by": self.by, "cpu": self.cpu}.items():

@@ -34,7 +34,7 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# `computed` counts the points that have a motion. `by` is the process. `reused` counts the points taken from each earlier atlas.
+# `computed` counts the points that have a motion. `by` says what computed the tile. `reused` counts points taken from each earlier atlas.
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip
@@ -106,7 +106,7 @@ class Tiles:
         return f"{folder}{tile:08d}{suffix}"
 
     def indices(self, tile: int) -> np.ndarray:
-        """Return the flat indices of the points of a tile in the grid."""
+        """Return the flat grid indices of the points of a tile."""
         indices = self.tiling.indices(tile)
         return indices if self.points is None else self.points[indices]
 

@@ -1,8 +1,8 @@
 """The finished atlas as a Zarr store, written by xarray and zarr.
 
-Each object has a CRC-32C, which any reader compares. The attribute HASH is written last, so that an unfinished store is never taken
-for an atlas. The first part of HASH is a hash of the root metadata, which is compared when a store is opened. The second part is a
-hash of all other objects, which `verify` compares, because a reader takes lost objects for fill values and misplaced ones for data.
+Each object has a CRC-32C, which any reader checks. The attribute HASH is written last, so that an unfinished store is never taken for
+an atlas. The first part of HASH is a hash of the root metadata, and is checked when a store is opened. The second part is a hash of all
+other objects. `verify` checks the second part, because readers take lost objects for fill values and misplaced objects for data.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"),
 
 
 class PlaceStore(WrapperStore[Any]):
-    """A place as a store of the package zarr. A missing chunk raises BadInput in a whole store, and means fill values in others."""
+    """A place as a store of the package zarr. A missing chunk raises BadInput if `is_whole`, and otherwise means fill values."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class PlaceStore(WrapperStore[Any]):
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
         self.is_whole, self.has_checksums = is_whole, has_checksums
-        self.stamp = stamp  # stamp of the metadata of a whole store
+        self.stamp = stamp  # `Place.stamp` of METADATA when the store was opened
         # `packed` maps the name of an array to the codec of the array's objects and to the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed
         self.folder = os.path.realpath(place.path) if isinstance(place, Folder) else ""
@@ -98,7 +98,7 @@ class PlaceStore(WrapperStore[Any]):
         if "/c" in key:
             if self.is_whole:
                 await asyncio.to_thread(self.check_stamp)
-            # The checksum is compared here, because codecs report errors after unpacking and without the name of the object.
+            # The checksum is checked here, because codecs report errors after unpacking and without the name of the object.
             if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
                 raise BadInput(damaged)
             if name in self.packed:
@@ -129,7 +129,7 @@ class _Store(ZarrStore):
     """A Zarr store for xarray that raises BadInput, with the name of the array, for any error in values."""
 
     def open_store_variable(self, name: str) -> xr.Variable:
-        """Return a variable of the store, whose values are read through `_Array`."""
+        """Return a variable of the store. `_Array` reads the values of the variable."""
         variable = super().open_store_variable(name)
         array = _Array(self.members[name])
         array.what = f"{self.zarr_group.store.place}: the values of {name}"
@@ -247,7 +247,7 @@ class Zarr(Format):
             place.write(METADATA, json.dumps(metadata).encode())
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open any Zarr store lazily. Raise BadInput if it is unfinished or damaged, or claims more data than the objects hold."""
+        """Open any Zarr store lazily. Raise BadInput if the store is unfinished or damaged, or claims more data than its objects hold."""
         place = place_at(path)
         try:
             stamp, metadata = place.stamp(METADATA), json.loads(place.read(METADATA))
@@ -302,7 +302,7 @@ class Zarr(Format):
         return without_fill_values(ds)
 
     def verify(self, path: Path | str) -> None:
-        with self.open_dataset(path) as ds:  # This compares the hash of the root metadata.
+        with self.open_dataset(path) as ds:  # `open_dataset` checks the hash of the root metadata.
             expected, place = ds.encoding[HASH], place_at(path)
         if expected is None:
             raise BadInput(

@@ -34,12 +34,12 @@ _PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.joi
 
 
 def functions(equations: Any) -> dict[str, str]:
-    """Return by name the source, without docstring, of every function of a module or class of equations."""
+    """Return the sources of all functions of a module or class of equations, by name and without docstrings."""
     return {name: ast.unparse(node) for name, node in function_trees(equations).items()}
 
 
 def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
-    """Return by name the syntax tree of every function of a module or class, without docstring and decorators.
+    """Return the syntax trees of all functions of a module or class, by name. Docstrings and decorators are left out.
 
     A starred name among unpacked constants is replaced by the names of the constants for which it stands.
     """
@@ -68,7 +68,7 @@ def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
 
 
 def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.FunctionDef]:
-    """Return the syntax trees of the functions that belong to the equations. A module may contain others."""
+    """Return the syntax trees of the functions that belong to the equations. A module may contain other functions."""
     used = {"rhs", "frame_motion", "axis_in_frame", "scaled", "unscaled", *observables}
     used |= {name for name in getattr(equations, "INTEGRALS", ()) if isinstance(name, str)}
     used |= {name for name in getattr(equations, "LOSSES", {}).values() if isinstance(name, str)}
@@ -89,7 +89,7 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 
 
 def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """Evaluate an arithmetic text of pi, FUNCTIONS and `names`. Raise BadInput that begins with `key` for other texts."""
+    """Evaluate arithmetic with pi, FUNCTIONS and `names`. If the text contains anything else, raise BadInput that begins with `key`."""
     known = {**numpy_functions(), "pi": np.pi, **names}
     try:
         tree = ast.parse(text, mode="eval")
@@ -101,7 +101,7 @@ def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
 
 
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
-    """Return equations with every member that kernels read, compiled from source so that FUNCTIONS take arrays.
+    """Return equations with every member that kernels read. Functions are compiled from source, so that FUNCTIONS such as sin take arrays.
 
     Equations without ``scaled`` and ``unscaled`` receive both functions. TIME_UNIT becomes the last constant and multiplies
     the right-hand side, the angular velocity of ``frame_motion`` and the losses. The state keeps its units.

@@ -100,7 +100,7 @@ class Observable:
 
 @dataclass(frozen=True)
 class Condition:
-    """An equation or inequality of a family. The dimensionless `residual` says by how much it fails."""
+    """An equation or inequality of a family. The dimensionless `residual` says by how much points violate the condition."""
 
     text: str
     residual: Callable[[Points], Array]
@@ -144,7 +144,7 @@ class Family:
 
 
 def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
-    """Return families by name, with flags counted from 1 + len(after) in the given order."""
+    """Return families by name. The flags count the families in the given order, and follow the flags of the families `after`."""
     return {family.name: replace(family, flag=i) for i, family in enumerate(families, 1 + len(after))}
 
 
@@ -576,7 +576,7 @@ def within_range(system: System, points: Points) -> Mask:
 
 @cache
 def families_of(system: System) -> Mapping[str, Family]:
-    """Return families of the system and then of extensions by name. Extensions of this package have reserved flags."""
+    """Return by name the families of the system, then those of extensions. Extensions of this package have reserved flags."""
     added: dict[str, Family] = {}
     for families in extension.every("families", lambda name: owner_of_family(name) in ("", system.name)):
         added |= families(system)
@@ -702,7 +702,7 @@ def derived_values(
 
 
 class SharedValues(dict[str, Array]):
-    """Points that store values of functions, such as units of residuals, which several conditions share."""
+    """Points that also store function values used by several conditions, such as units of residuals."""
 
     def __init__(self, points: Points):
         super().__init__(points)
@@ -742,7 +742,7 @@ def shape_of(points: Points) -> tuple[int, ...]:
 
 
 def unsteady(system: System, flags: Flags) -> Mask:
-    """Return where the motions of a family turn about the vertical at a varying rate, (points,)."""
+    """Return where `flags` name families whose motions turn about the vertical at a varying rate, (points,)."""
     return np.isin(flags, [each.flag for each in families_of(system).values() if each.rate_std])
 
 

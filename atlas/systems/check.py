@@ -1,4 +1,4 @@
-"""Check systems that users write. Each mistake gives one line."""
+"""Check systems that users write. The message about a mistake is one line."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MAX_NAME = 60
 
 
 def check(system: object) -> None:
-    """Raise BadInput with one line unless `system` is a system that the package can use."""
+    """Raise BadInput with a message of one line unless `system` is a system that the package can use."""
     if not isinstance(system, System):
         raise BadInput(f"found {shown(system)}: not an object of a subclass of atlas.systems.System")
     check_complete(type(system), system)
@@ -71,7 +71,7 @@ def check_complete(kind: type[System], system: System | None = None) -> None:
 
 
 def check_start(system: System) -> None:
-    """Raise BadInput unless a system with completed equations can be evaluated at default parameters."""
+    """Raise BadInput unless a system can be evaluated at default parameters. The equations come from `arithmetic.completed`."""
     defaults = {name: np.full(2, parameter.default) for name, parameter in system.parameters.items()}
     equations = system.equations
     shapes = {"initial_state": (len(equations.STATE), 2), "constants": (len(equations.CONSTANTS), 2)}

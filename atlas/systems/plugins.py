@@ -26,7 +26,7 @@ class Origin:
     files: tuple[Path, ...]  # source files of the system
 
     def changed(self) -> Path | None:
-        """Return the file, or the folder of several files, if contents changed after registration, else None."""
+        """Return the file, or the folder of several files, if a file has changed since the registration of the system, else None."""
         if self.files and _hash_of_files(self.files) != self.code:
             return self.files[0].parent if len(self.files) > 1 else self.files[0]
         return None

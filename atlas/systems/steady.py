@@ -1,4 +1,4 @@
-"""Test whether the theorem of theory/steady.py applies to a system. Compute the growth about a third axis that is vertical."""
+"""Test whether the theorem of theory/steady.py applies to a system. Compute the growth rate of the angle about a vertical third axis."""
 
 from __future__ import annotations
 
@@ -71,8 +71,9 @@ def polynomial_degree(system: System) -> int | str:
 def growth_about_vertical(system: System, points: Points) -> Array:
     """Return the growth rate, (points,), of the angle about the third axis while this axis stays exactly on the vertical.
 
-    The angle obeys delta'' = a delta + b delta', where a and b are derivatives of the equations. Where the growth rate is 0,
-    rounding decides no label. The growth rate is nan off the vertical, and where the theorem of theory/steady.py does not apply.
+    A change delta of this angle obeys delta'' = a delta + b delta', where a and b are derivatives of r' by the angle and by the rate r.
+    Where the growth rate is 0, rounding decides no label. The growth rate is nan if the axis is not vertical or the theorem of
+    theory/steady.py does not apply.
     """
     growth = np.full(shape_of(points), np.nan)
     if isinstance(polynomial_degree(system), str):
@@ -118,7 +119,7 @@ def lacks_theory(system: System, points: Points) -> Mask:
 
 
 def _start(system: System, points: Points) -> tuple[Array, Array]:
-    """Return states and constants. On the vertical, transverse rates that are rounding errors of a fast precession become 0."""
+    """Return states and constants. If the third axis is vertical, transverse rates that are rounding errors of fast precession become 0."""
     state, constants = np.array(system.initial_state(points), float), system.constants(points)
     sine, n, _ = system.steady_rates(points)
     across = np.array(system.equations.frame_motion(state, constants)[:2])

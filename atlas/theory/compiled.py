@@ -1,4 +1,4 @@
-"""Bind functions of the theory of one point to the equations of a system, as plain Python or machine code."""
+"""Bind functions of the theory to the equations of a system. The results run in plain Python or in machine code."""
 
 from __future__ import annotations
 

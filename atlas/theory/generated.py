@@ -28,7 +28,7 @@ def derivatives_change(w, vectors, constants, dw, changes):
 
 
 def magnitudes(w, vectors, constants, size):
-    """Return the magnitudes of the terms of w', plus their changes when w changes by `size` and the vectors by 1."""
+    """Return for each component of w' the sum of the terms' magnitudes and changes, if w changes by `size` and the vectors by 1."""
 
 
 def frame_motion(w, vectors, constants):

@@ -6,7 +6,7 @@
 4. A far start drifts, a near start has no label, and an exact start has the label of the exact statistics.
 5. If a nudge leads to no other steady motion, stable motions keep the label, unstable motions drift, and others lose the label.
 6. If a nudge leads far from every steady motion, even a near start drifts. If a nudge changes rates by more than KEPT tolerances,
-   the label is lost. This rule does not hold for motions with a varying rate and beyond the range.
+   the label is lost. This rule does not hold for motions with a varying rate, nor beyond the range.
 7. If a motion with a varying rate drifts, growth does not change the label.
 8. Growth begins at the residual of the equations, or of the family if the rate varies or the motion is about other axes.
 9. Without a nudge, an exact start whose residual grows beyond the tolerances becomes near and loses any label but drifting.
@@ -35,7 +35,7 @@ KEPT = 1 / 3
 
 
 def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks_theory):
-    """Return the steady motion of a start, or else the motion about the third axis and the vertical, and a `SteadyTest`.
+    """Return the steady motion of a start and a `SteadyTest`. A start that is not steady gets the motion about third axis and vertical.
 
     If `lacks_theory` is true, the start may be on a family of a missing extension.
     """
@@ -84,7 +84,7 @@ def residual_of(body):
 
 
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
-    """Return the largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
+    """Return the largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in units of the tolerance.
 
     The departure is a lower bound of the oscillation of rates. The largest change is departure / sin(theta), which psi' may reach, or
     the change of the angular velocity if e3 is within `angle_tolerance` of the vertical. The argument `start` belongs to `after`.
@@ -140,9 +140,9 @@ def label_of(test, membership, answer, exact, nudged):
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
     """Return the label of a motion about any two axes by rule 10 of the module docstring.
 
-    The motion's circle has the label `exact`, and `predict` returned the label `own`. If the motion is exact about other axes than
-    the third and the vertical, the result is `exact` or follows from `exact` after a nudge. Otherwise the result is `own`. If `near`
-    is true, the angular velocity may stay on a circle in the body. Drifting is then predicted only for exact motions.
+    The argument `exact` is the label of the exact motion, and `own` is the label that `predict` returned. If the motion is exact about
+    other axes than the third and the vertical, the result is `exact` or follows from `exact` after a nudge. Otherwise the result is `own`.
+    If `near` is true, the angular velocity may stay on a circle in the body. Drifting is then predicted only for exact motions.
     """
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:

@@ -81,7 +81,7 @@ class Existence(IntEnum):
 
 
 def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance, angle_tolerance):
-    """Return an Existence, and the steady motion of an exact start, or else the motion about the third axis and the vertical.
+    """Return an Existence and the steady motion. A start that is not steady gets the motion about the third axis and the vertical.
 
     The argument `rates` is (sin theta, n, m) of System.steady_rates, and `bound` is the frequency bound.
     """
@@ -119,7 +119,7 @@ def start_at(w, vectors, constants):
 
 
 def start_on_axis(w, vectors, constants, rates):
-    """Return the start. On the vertical, transverse rates that are rounding errors of a fast precession become 0."""
+    """Return the start. If the third axis is vertical, transverse rates that are rounding errors of a fast precession become 0."""
     start, (sine, n, _) = start_at(w, vectors, constants), rates
     if abs(sine) <= TERM_ROUNDING and np.hypot(start.u[0], start.u[1]) <= TERM_ROUNDING * abs(n):
         return start_at((w[0] - start.u[0], w[1] - start.u[1], w[2]), vectors, constants)
@@ -170,7 +170,7 @@ def candidate(which, start, second, bound):
 
 
 def rate_about(turn, u, first, least):
-    """Return the rate r for which r * turn is nearest to u', or 0 if |r| <= least, or nan if turn is near 0."""
+    """Return the rate r for which r * turn is nearest to the vector `first`, or 0 if |r| <= least, or nan if |turn| is nearly 0."""
     if not length(turn) > GATE * length(u):
         return np.nan
     value = dot(first, turn) / dot(turn, turn)
@@ -178,7 +178,7 @@ def rate_about(turn, u, first, least):
 
 
 def rest_of(start, motion):
-    """Return u and u' of a start minus the values of u and u' in a motion."""
+    """Return the relative angular velocity u of a start and its derivative u', each minus its value in a motion."""
     s, m, nu, n = motion
     u = minus(minus(start.u, scaled(n, nu)), scaled(m, s))
     return u, minus(start.acceleration, scaled(n * m, cross(nu, s)))
@@ -238,7 +238,7 @@ def phases(start, motion):
 
 
 def residual_at(start, constants, motion, alpha, beta):
-    """Return magnitudes of the residual's components at phases `alpha` of n t and `beta` of m t, or inf if rates or vectors do not fit."""
+    """Return |residual| by component at phases `alpha` of n t and `beta` of m t, or inf if body or vectors do not turn as in `motion`."""
     s, m, nu, n = motion
     back, around = (math.cos(alpha), -math.sin(alpha)), (math.cos(beta), -math.sin(beta))
     fixed = rotate(nu, s, around[0], around[1])
@@ -252,7 +252,7 @@ def residual_at(start, constants, motion, alpha, beta):
 
 
 def rounding(start, constants, motion):
-    """Return the magnitudes of the terms of a residual, plus the changes of these terms by relative errors of 1 in the states."""
+    """Return for each component of a residual the sum of the terms' magnitudes and changes under relative errors of 1 in the states."""
     s, nu, frame = magnitude(motion.s), magnitude(motion.nu), magnitude(start.frame)
     m, n = abs(motion.m), abs(motion.n)
     base = n + length(frame)
@@ -271,7 +271,7 @@ def second_derivative(start, constants):
 
 
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
-    """Return the change of theta', psi' and phi' during a run from a start near `motion`, to first order, in tolerances.
+    """Return the first-order change of theta', psi' and phi' during a run from a start near `motion`, in units of the tolerance.
 
     If the third axis is within the angle tolerance of the vertical, return the change of the tilt and of the rate about the vertical.
     The deviation x of the rates from `motion`, a motion about the third axis and the vertical, obeys x' = A x + f near the start,

@@ -5,7 +5,7 @@ The angle between nu and the vertical g is kappa, and N is the gradient of the f
 and weight Mg r_c, and are sums of harmonics of n t and m t. If n, m and sin theta1 are not 0, they allow four cases:
 
 - kappa and N are not 0. The harmonic 2 n + 2 m and then 2 n + m (with -m for m if n and m differ in sign) leave a
-  spherical body, on which the field has no effect. By the next case it has no weight and belongs to `free_precession`.
+  spherical body, on which the field has no effect. By the next case this body has no weight and belongs to `free_precession`.
 - kappa is not 0, and N = 0. The harmonics n + m and n - m of a weight need |n| = |m| and theta1 = pi/2, which leaves
   `grioli`. A body without weight is symmetric about s and belongs to `free_precession`.
 - kappa = 0 and N = n^2. The field and the centrifugal torque cancel, and s is normal to a circular section of the
@@ -13,8 +13,8 @@ and weight Mg r_c, and are sums of harmonics of n t and m t. If n, m and sin the
 - kappa = 0 and N is not n^2. The body is symmetric about s, and rotor and centre of mass are along s. The family is
   `conical`, or `other_axis` where s is not the third axis.
 
-A permanent rotation that is inclined to the vertical needs a free body, `free_rotation`, or turns about a resting axis of
-symmetry, `rest` or `other_axis`. Together with the families about the third axis, these families are therefore complete.
+In a permanent rotation about an axis that is inclined to the vertical, the body is free (`free_rotation`) or symmetric about the axis
+(`rest` or `other_axis`). Together with the families about the third axis, these families are therefore complete.
 `tests/systems/test_any_axis_families.py` confirms each step.
 
 In Lagrange's case s is an axis of symmetry other than the third. With C = s.I s, A the moment across s, and c = s.g,
@@ -54,7 +54,7 @@ from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
-# State of Grioli's start for the last body, by the shape and the bytes of the body. Six formulas share this state.
+# The last result of Grioli.initial_state, which six formulas share. The key consists of the shape and the bytes of the input arrays.
 _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
@@ -69,11 +69,11 @@ class Start(motions.Start):
         self.field_torque = np.maximum(length(self.weight), gradient)
 
     def field_residual(self) -> Array:
-        """Return the residual of the field's gradient, which has no effect on a spherical body."""
+        """Return the residual of the condition that the field's gradient N is 0 or the body is spherical."""
         return self.residual(self.N * (self.inertia.max(0) - self.inertia.min(0)))
 
     def rotor_residual(self, s: Array) -> Array:
-        """Return the residual of the part of the rotor that is normal to the unit vector `s`."""
+        """Return the residual of the condition that the rotor has no part normal to the unit vector `s`."""
         return self.residual(cross(self.rotor, s) * length(self.w))
 
     def axis_of_symmetry(self, candidates: tuple[int, ...], otherwise: Array) -> Array:
@@ -128,7 +128,7 @@ def section_normals(inertia: Array) -> Array:
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
-    """Return component `i` of base + lambda direction. lambda follows from another component of `vector`, where |direction| is largest."""
+    """Return component `i` of v = base + lambda direction. In another component, that of the largest |direction|, v equals `vector`."""
     magnitudes = np.abs(direction)
     magnitudes[i] = -1.0
     base = np.broadcast_to(base, direction.shape)
@@ -145,7 +145,7 @@ class Lagrange(Start):
         return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)
 
     def torque(self) -> tuple[Array, Array]:
-        """Return the torque of all but the weight, and the weight's torque, over the sine of the tilt. On the family the torques cancel."""
+        """Return two torques divided by sin(tilt): that of all but the weight, and that of the weight. On the family the torques cancel."""
         s, m, g, n = self.axes()
         C = dot(self.inertia * s, s)
         A = 0.5 * (self.inertia.sum(0) - C)
@@ -224,7 +224,7 @@ class Grioli(Start):
         return state[VECTORS.index(name)].copy()
 
     def initial_state(self, near: Array) -> Array:
-        """Return p0 .. gamma30 when the axis nu of precession is in the plane of the spin axis s and I s, or nan if no motion exists.
+        """Return p0 .. gamma30 of a start whose precession axis nu is in the plane of the spin axis s and I s, or nan if no motion exists.
 
         With the inertia I, b = s.I s, d = |s x I s| and the rotor l along s, the rate n of precession is the root of
         (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 that is nearest to `near`. Where `near` is nan, n is the largest positive root.
@@ -258,7 +258,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """Return a coordinate of the same sign that puts the centre of mass on a normal to a circular section of the inertia ellipsoid."""
+        """Return the coordinate `name`, with its sign, of a centre of mass on a normal to a circular section of the inertia ellipsoid."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])

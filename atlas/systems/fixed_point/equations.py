@@ -1,13 +1,13 @@
 """Euler-Poisson equations of a gyrostat about a fixed point in a central Newtonian field.
 
-They are the system (1) of Amer, Abo Essa, Ibrahim & Amer in dimensional form, for any body, centre of mass and gyrostatic
-momentum. `tests/systems/test_fixed_point_equations.py` derives them from the Lagrangian. All vectors are given in the
-body's principal axes at the fixed point. The angular velocity is w = (p, q, r), and g (gamma) is the unit vector of the
-vertical Z, which points down to the attracting centre.
+They are the system (1) of Amer, Abo Essa, Ibrahim & Amer in dimensional form, for any inertia I, centre of mass r_c and gyrostatic
+momentum l. `tests/systems/test_fixed_point_equations.py` derives them from the Lagrangian. All vectors are given in the body's
+principal axes at the fixed point. The angular velocity is w = (p, q, r), and g (gamma) is the unit vector of the vertical Z, which
+points down to the attracting centre. Mg is the weight, and N is the gradient of the field.
 
     I w' = (I w + l) x w + Mg r_c x g + N g x (I g) - damping w,     g' = g x w
 
-The paper has no damping. With damping the energy falls at the rate damping w.w.
+The paper has no damping. With damping the energy falls at the rate damping |w|^2.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS. It is plain
 arithmetic, which works for numbers and for arrays of one shape. The source is copied into the kernels. The functions
@@ -89,7 +89,7 @@ def area(state, constants):
 
 
 def length_gamma(state, constants):
-    """|gamma|^2 = 1."""
+    """Squared length of the unit vector gamma, which is 1."""
     p, q, r, g1, g2, g3 = state
     return g1 * g1, g2 * g2, g3 * g3
 
@@ -127,7 +127,7 @@ def kovalevskaya(state, constants):
 
 
 def energy_loss(state, constants):
-    """Return the loss of `energy` per time, damping w.w."""
+    """Return the loss of `energy` per time, which is damping times |w|^2."""
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return damping * (p * p + q * q + r * r)

@@ -76,7 +76,7 @@ def _torque(points: Points) -> Array:
 
 
 def _fast_torque(points: Points) -> Array:
-    """Return a unit of torques, at least A n^2 and A m^2. Near the vertical n and m may be large and nearly cancel in w."""
+    """Return a unit of torques, at least A n^2 and A m^2. If the third axis is nearly vertical, large n and m may nearly cancel in w."""
     return np.fmax(_torque(points), points["A"] * np.square(rates(points)[1:]).max(0))
 
 
@@ -160,7 +160,7 @@ def _solve_permanent(name: str, points: Points) -> Array:
 def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
     """Return theta0 or phi0 of the permanent rotation whose vertical in the body is nearest to the vertical at the start.
 
-    The search for phi0 keeps the given theta0, so that both may be solved together. The result is nan where there is no rotation.
+    The search for phi0 keeps theta0, so that a scene can solve for theta0 and then for phi0. The result is nan where no rotation exists.
     """
     gamma = vertical(points)
     n = np.zeros_like(points["A"]) if resting else rates(points)[1]

@@ -65,7 +65,7 @@ def fields(points: Points) -> tuple[Array, Array]:
 
 @shared
 def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
-    """Return inertia I, rotor l and moment of weight Mg r_c, each of shape (3, points), and N."""
+    """Return inertia I, rotor l and moment of weight Mg r_c, each of shape (3, points), and the field gradient N, (points,)."""
     Mg, N = fields(points)
     inertia = np.array([points["A"], points["B"], points["C"]])
     rotor = np.array([points["l1"], points["l2"], points["l3"]])
@@ -250,7 +250,7 @@ def frequency_bound(points: Points) -> Array:
     min_inertia = np.where(fixed, A, inertia.min(0))
     max_turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / min_inertia))
 
-    # `own` bounds the frequencies of changes of w without torques. Where C r + l3 is conserved, r is constant and this bound is exact.
+    # `own` bounds the frequencies at which w changes without torques. Where C r + l3 is conserved, r is constant and this bound is exact.
     own = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, gyration(inertia, rotor, max_rates))
     differences = np.array([C - B, A - C, B - A])
     newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / min_inertia))

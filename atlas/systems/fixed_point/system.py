@@ -80,7 +80,7 @@ class FixedPoint(Gyrostat):
     )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Return flag and residual of the family of motions about the third axis and the vertical, or else about other axes."""
+        """Return flag and residual of the family of each start. Families about the third axis and the vertical come before all others."""
         return identify(points, families.ORDER, other_families(self))
 
     @shared

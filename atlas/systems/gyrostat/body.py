@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ..base import Array, Mask
 
-# Moments, momenta and torques below this fraction of the scale are rounding errors. Only growth rates above the square root
-# of this fraction count.
+# Differences of moments of inertia up to this fraction of the largest moment J are rounding errors. So are transverse momenta up to this
+# fraction of J U and transverse torques up to this fraction of J U^2, where U is the unit of rates.
 NEGLIGIBLE = 1e-13
 # The natural rate ignores rates of frame and fields that are below this fraction of the rate of the free body.
 SLOW = 1e-4
@@ -50,7 +50,7 @@ class Body(NamedTuple):
         return Body(inertia, rotor, turn, alpha, beta, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
-        """Return the bodies in units of `rate` and of the largest moment of inertia of each."""
+        """Return the bodies in units of `rate` and of the largest moment of inertia of each body."""
         moment = self.inertia.max(-1)
         torque = (moment * rate**2)[..., None]
         each = (self.alpha, self.beta, self.gamma)
@@ -73,7 +73,7 @@ class Body(NamedTuple):
         return np.where(rate == 0, 1.0, rate)
 
     def natural_rate(self, w: Array) -> Array:
-        """Return |Omega|, or the fields' frequency if Omega = 0. The rate of the free body, or 1, replaces a negligible result."""
+        """Return |turn|, or the fields' frequency if turn = 0. If this rate is negligible, return the free body's, or 1 if all are 0."""
         moment = self.inertia.max(-1)
         squares = sum(
             length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
@@ -127,7 +127,7 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Return the gradient of W under rotations, which is minus the torque at rest, and the Hessian of W."""
+        """Return the gradient of W with respect to rotations, which is minus the torque at rest, and the Hessian of W."""
         return self._variations(self.amended(), alpha, gamma)
 
     def hessian(self, alpha: Array, gamma: Array) -> Array:
@@ -159,7 +159,7 @@ class Body(NamedTuple):
     def _variations(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> tuple[Array, Array]:
-        """Return gradient and Hessian, under rotations of the body, of the potential of `directions` and beta."""
+        """Return the gradient and the Hessian of the potential of `directions` and beta with respect to rotations of the body."""
         gradient, hessian = np.zeros(1), np.zeros(1)
         for d, v in self._along(directions, alpha, gamma):
             slope = d.gradient[..., None] * self.inertia * v + d.field

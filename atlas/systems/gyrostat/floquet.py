@@ -39,7 +39,7 @@ TRACE_TOLERANCE = 1e-7
 _STEP = 1.4  # largest product of step and norm of the system, which gives errors of about 1e-7
 _MIN_STEPS, _MAX_STEPS = 64, 8192  # limits of the steps in a period; longer periods are treated as adiabatic
 _ADIABATIC_PHASES = 256
-# The adiabatic logarithm of the growth over a period is wrong by a few units. Above this value it means instability.
+# The adiabatic logarithm of the growth over a period is wrong by a few units. A logarithm above this value means instability.
 _ADIABATIC_GROWTH = 10.0
 # The adiabatic growth is 0 if the exponents at each fixed phase are farther from a collision than this multiple of 2 pi / period.
 _ADIABATIC_MARGIN = 4.0

@@ -27,8 +27,8 @@ def of_harmonics(
 ) -> tuple[Array, Array]:
     """Return fundamental matrices over spans (points,), scaled to largest entry 1, and logarithms of the scale factors.
 
-    The array `harmonics`, (3, points, size, size), contains the mean and two harmonics over the period, from `np.fft.rfft`
-    divided by the number of samples. The size is even. A span has `count` equal steps.
+    The array `harmonics`, (3, points, size, size), contains the mean and two harmonics of the periodic matrix of each system.
+    These three parts come from `np.fft.rfft` and are divided by the number of samples. The size is even. A span has `count` equal steps.
     """
     points, size = harmonics.shape[1:3]
     mean, first, second = harmonics

@@ -187,7 +187,7 @@ def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, So
 
 
 def nearest_root(roots: Array, near: Array) -> Array:
-    """Return the root nearest to `near`, or nan for no root. For near = inf, return the largest root in magnitude, or nan for one root."""
+    """Return the root nearest to `near`, else nan. If `near` is inf, return the root farthest from 0, or nan if fewer than two exist."""
     finite = np.isfinite(roots)
     distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
     nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]

@@ -140,7 +140,7 @@ class Equilibria(NamedTuple):
         return exponents
 
     def stability(self) -> tuple[Flags, Array]:
-        """Return spectral stability and growth rate (rad per time unit), (points,), as System.linear_stability."""
+        """Return what System.linear_stability returns: spectral stability and growth rate (rad per time unit), both (points,)."""
         with np.errstate(all="ignore"):
             exponents = self.exponents()
         finite = np.logical_not(np.isinf(exponents.real).any(1))
@@ -232,7 +232,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
 
 
 def _eigenvalues(hessian: Array, still: Array) -> Array:
-    """Return ascending eigenvalues of Hessians divided by their largest entries. The span of `still` has the eigenvalue 1."""
+    """Divide each Hessian by its largest entry and return ascending eigenvalues. Vectors in the span of `still` get the eigenvalue 1."""
     scale = np.abs(hessian).max((1, 2))
     projection = still @ np.linalg.pinv(still, rcond=1e-12)
     complement = np.eye(3) - projection
@@ -279,7 +279,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Return the rate of a frame, an axis of symmetry or -1, and whether a body rests in the frame, turns about this axis or is damped."""
+    """Return a frame's rate, an axis of symmetry or -1, and a mask of bodies that rest in the frame, turn about the axis or are damped."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

@@ -35,7 +35,7 @@ class SecularEquation:
         return np.where(self.d == origin, np.abs(self.b), 0.0).max(0)
 
     def root(self, near: Array, far: Array, origin: Array) -> Array:
-        """Return the shift of a root from `origin` by bisection of log |shift|. The sum is above 1 at `near`, below 1 at `far`."""
+        """Return the shift of a root from `origin` by bisection of log |shift|. The sum is above 1 at shift `near` and below 1 at `far`."""
         side = np.sign(far)
         near, far = np.abs(near), np.abs(far)
         for _ in range(64):
@@ -91,8 +91,8 @@ def critical_directions(
 ) -> tuple[Array, NDArray[np.int8]]:
     """Return the critical points g of g.(d g) / 2 + b.g on the unit sphere, where d is diagonal. Arrays are (3, points).
 
-    They are g = -b / (d - L), where L is a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1. One root lies outside each
-    end pole, and none or two lie between neighbours. A component with b_i = 0 also allows L = d_i with g_i free.
+    They are g = -b / (d - L), where L is a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1. The d_i with b_i != 0 are poles.
+    One root lies below all poles, one above, and none or two between neighbouring poles. If b_i = 0, L may also be d_i, with g_i free.
 
     From a circle of solutions, the solution nearest to the direction `towards` is taken. The array g, (3, 12, points), is nan in unused
     columns. The second array, (12, points), is the dimension of the set of solutions around each g: 0 for an isolated solution, 1 for
@@ -104,7 +104,7 @@ def critical_directions(
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
         SecularEquation(d, b).write_directions(g, dimension)
-        for i in range(3):  # columns 6 to 11 have solutions L = d_i with free components g_i
+        for i in range(3):  # columns 6 to 11 of g are for L = d_i, where g_i is free
             group = d == d[i]
             free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
             fixed = np.where(group, 0.0, -b / (d - d[i]))

@@ -159,7 +159,7 @@ class Gyrostat(System):
         return result, symmetric & (result == EnergyStability.YES)
 
     def conserves_axial_momentum(self, points: Points) -> Mask:
-        """Return where C w3 + rotor is constant. Spin and rotor then affect the motion of the third axis only by this sum."""
+        """Return where C w3 + rotor is constant. Spin and rotor then affect the motion of the third axis only through this sum."""
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
@@ -182,8 +182,8 @@ class Gyrostat(System):
 def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
-    In general it is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
-    contain only unstable phases. The growth from start to end of the run is then taken if its logarithm exceeds _AMPLITUDE_GROWTH.
+    In general this logarithm is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
+    contain only unstable phases. If the logarithm of the growth over such a run exceeds _AMPLITUDE_GROWTH, return the larger logarithm.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):

@@ -115,7 +115,7 @@ def tilt_balance(p: Points) -> Array:
 
 
 def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
-    """Return `tilt_balance` over s, or over Omega s if `by_rate` is true. At s = 0 return the limit, or nan."""
+    """Return `tilt_balance` divided by s = sin theta0, or by Omega s if `by_rate` is true. At s = 0 return the limit, or nan."""
     (s, c), (sp, cp) = tilt(p), node(p)
     radial = p["mu3"] * p["h1"] * c * sp - p["drag3"] * c * cp
     field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, ratio(radial, s, np.nan))

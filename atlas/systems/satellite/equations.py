@@ -1,15 +1,14 @@
 """Euler-Poisson equations of the magnetised satellite-gyrostat on a circular orbit, with a torque of drag.
 
-They follow from the kinematics (1), the Lagrangian (2) and the potential (3) of Yehia & El-kenani 2021
-(doi 10.22055/JACM.2021.37913.3113). `tests/systems/test_satellite_equations.py` repeats the derivation.
-All vectors are given in the body's principal axes. The absolute angular velocity is w, the unit vector along the
-radius is a (alpha), the unit normal of the orbit is g (gamma), and beta = gamma x alpha.
+They follow from the kinematics (1), the Lagrangian (2) and the potential (3) of Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113).
+`tests/systems/test_satellite_equations.py` repeats the derivation. All vectors are given in the body's principal axes. The absolute angular
+velocity is w, the inertia I, the rotor's momentum k and the magnetic moment mu (with the paper's sign). The unit vector along the radius is
+a (alpha), the unit normal of the orbit is g (gamma), and beta = gamma x alpha. Omega is the orbit's rate, and H is the magnetic field.
 
     I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu + beta x drag - damping u,     H = h1 a + h3 g
     a' = a x u,   g' = g x u,                                                           u = w - Omega g
 
-The paper has neither drag, with the potential drag.beta, nor damping. With damping the Jacobi integral falls at the
-rate damping u.u.
+Drag has the potential drag.beta. The paper has no drag and no damping. With damping the Jacobi integral falls at the rate damping |u|^2.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS. It is plain
 arithmetic, which works for numbers and for arrays of one shape. The source is copied into the kernels. The functions
@@ -120,7 +119,7 @@ def axis_in_frame(state, constants):
 
 
 def jacobi(state, constants):
-    """Jacobi integral L2 - L0 + V of the Lagrangian (2) and the potential (3) in the paper, with drag, in absolute rates."""
+    """Jacobi integral L2 - L0 + V. L2 and L0 are the kinetic energy's terms of degree 2 and 0 in u = w - Omega g. V includes drag."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, *_,
@@ -136,7 +135,7 @@ def jacobi(state, constants):
 
 
 def length_alpha(state, constants):
-    """|alpha|^2 = 1."""
+    """Squared length of the unit vector alpha, which is 1."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     a1, a2, a3 = a1 * a_inv, a2 * a_inv, a3 * a_inv
@@ -144,7 +143,7 @@ def length_alpha(state, constants):
 
 
 def length_gamma(state, constants):
-    """|gamma|^2 = 1."""
+    """Squared length of the unit vector gamma, which is 1."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     g1, g2, g3 = g1 * g_inv, g2 * g_inv, g3 * g_inv
@@ -152,7 +151,7 @@ def length_gamma(state, constants):
 
 
 def length_sum(state, constants):
-    """|alpha + gamma|^2 = 2. This is alpha . gamma = 0, written with terms that cannot all vanish."""
+    """Squared length of alpha + gamma, which is 2 as alpha . gamma = 0. The terms cannot all vanish, unlike those of alpha . gamma."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     x, y, z = a1 * a_inv + g1 * g_inv, a2 * a_inv + g2 * g_inv, a3 * a_inv + g3 * g_inv
@@ -160,7 +159,7 @@ def length_sum(state, constants):
 
 
 def axial_momentum(state, constants):
-    """C w3 + k3. Only damping changes it if A = B and neither rotor, magnet nor drag has a transverse part."""
+    """Axial momentum C w3 + k3. Only damping changes this sum if A = B and neither rotor, magnet nor drag has a transverse part."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     A, B, C, Omega, k1, k2, k3, *_ = constants
     return C * w3, k3

@@ -39,7 +39,7 @@ from . import conditions as the
 from .conditions import field_torque, flatness, node, rest_torque, tilt
 from .initial import body_vectors, directions, initial_state
 
-# State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, as Family.motion. theta_dot0 counts as 0.
+# Closed form for `Family.motion` of the motion theta = theta0, psi = n t + psi0, phi = m t + phi0. theta_dot0 counts as 0.
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
 
 
@@ -86,7 +86,7 @@ def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
 
 
 def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points) -> Array:
-    """Return a component of k = base + lambda gamma. For k3, lambda follows from k1 and k2; for k1 or k2, from k3.
+    """Return a component of k = base + lambda gamma. For k3, lambda follows from k1 and k2. For k1 or k2, lambda follows from k3.
 
     Where gamma3 = 0, lambda does not enter k3, and k1 and k2 determine each other.
     """
@@ -103,7 +103,7 @@ def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points
 
 
 def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
-    """Return a rotor that leaves no torque across the normal, and the normal."""
+    """Return two vectors: a rotor with which the torque is along the normal, and the normal."""
     torque, _, gamma = rest_torque(p, with_rotor=False)
     return ratio(cross(torque, gamma), p["Omega"], np.nan), gamma
 

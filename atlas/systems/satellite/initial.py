@@ -81,7 +81,7 @@ def drag_vector(points: Points) -> Array:
 
 
 def body(points: Points) -> Body:
-    """Return the body with gravity gradient and h1 mu along the radius, drag along the velocity, h3 mu along the normal."""
+    """Return the body. The potentials belong to the radius (gravity gradient and h1 mu), the velocity (drag) and the normal (h3 mu)."""
     vectors = *body_vectors(points), drag_vector(points)
     inertia, rotor, magnet, drag = (np.moveaxis(vector, 0, -1) for vector in vectors)
     Omega = points["Omega"]
@@ -93,7 +93,7 @@ def body(points: Points) -> Body:
 
 @shared
 def initial_state(points: Points) -> Array:
-    """Return the state at t = 0, (9, points), where w = (n + Omega) gamma + m e3 + theta_dot0 about the node."""
+    """Return the state at t = 0, (9, points). The angular velocity is (n + Omega) gamma + m e3, plus theta_dot0 about the node."""
     alpha, gamma = directions(points)
     return np.concatenate([angular_velocity(points, points["n"] + points["Omega"], gamma), alpha, gamma])
 

@@ -116,7 +116,7 @@ def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
 
 
 def subject_of(ds: xr.Dataset) -> xr.Dataset:
-    """Return `ds`, prepared for `ds.atlas`. A part of joined atlases gets its own attributes. A list of points gets the dimension "point"."""
+    """Return `ds`, prepared for `ds.atlas`. A part of joined atlases gets its own attributes. Listed points get the dimension "point"."""
     ds = part_of(ds)
     dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
     if len(dims) == len(ds.dims) == 1 and {*dims, *ds.variables, *ds.attrs}.isdisjoint({POINT, PARTS}):

@@ -117,7 +117,7 @@ def stretched(start, end):
 
 
 def end_stretch(t):
-    """Return the term that an end of a run at the distance t brings to the variable of integration, and the term's derivative by t."""
+    """Return the term of `stretched` for one end of a run, where t is the distance from this end, and the term's derivative by t."""
     x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
     small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
     slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)

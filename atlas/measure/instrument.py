@@ -387,7 +387,7 @@ class MainInstrument(Instrument):
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """Return the rms of theta' above which a point drifts, whatever the expected error. See `kernel.ensemble.Ensemble.integrate`."""
+        """Return the rms of theta' above which the label is drifting for any expected error. See `kernel.ensemble.Ensemble.integrate`."""
         raise NotImplementedError
 
     def step_sizes(

@@ -303,7 +303,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
 
     Interpolation between nodes adds to the error of the angles. The error of psi' and phi' is larger near the vertical, and at least 1
     if the third axis passed through the cylinder about the vertical. The error is smaller if the run starts in the cylinder, because
-    nodes close to the start show how the axis leaves. They show less of a slow axis, whose path may turn much between two nodes.
+    nodes close to the start show how the axis leaves. If the axis is slow, its path may turn much between two nodes.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)
@@ -321,7 +321,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
         missed = spread * np.minimum((turn / MISSED_TURN) ** 3, 1.0)
         left = np.fmax(np.fmin(rates + missed, undefined), angle)
     outside = integration.sums[Row.OUTSIDE]
-    inside = (outside == 0.0) | in_cylinder(measured, cylinder)  # psi' and phi' are missing
+    inside = (outside == 0.0) | in_cylinder(measured, cylinder)  # psi' and phi' are nan
     partly = (outside > 0.0) & (outside < integration.intervals * (1.0 - 1e-10))
     crossed = ~inside & (partly | (least < 2.0 * cylinder))
     return np.asarray(np.select([inside, crossed & leaves, crossed], [angle, left, undefined], rates))

@@ -17,7 +17,7 @@ class Motion(NamedTuple):
 
     s: Vector  # unit vector of the axis at rest in the body
     m: float  # rate about the axis at rest in the body, rad per time unit
-    nu: Vector  # unit vector of the axis at rest in the frame, at the start
+    nu: Vector  # value at the start of the unit vector of the axis at rest in the frame
     n: float  # rate about the axis at rest in the frame, rad per time unit
 
 

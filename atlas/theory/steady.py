@@ -21,8 +21,8 @@ the nodes for d = 2.
 A ratio within RATIO of p : q counts as p : q. Runs up to a time of 1 / (RATIO n) cannot tell the ratios apart.
 
 The residual counts as 0 if each component is at most TERM_ROUNDING times a sum. The sum has the magnitudes of all terms on the
-right-hand side, and the magnitudes of the changes of the terms by errors of the states. Fast spins thus do not loosen the test.
-Axes computed from derivatives have larger errors, because terms of u' cancel.
+right-hand side, and the magnitudes of the changes of the terms by errors of the states. A fast spin thus loosens only the test
+of components whose terms contain the spin. Axes computed from derivatives have larger errors, because terms of u' cancel.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class BodyFamily(NamedTuple):
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
-        """Return gradient and Hessian of W over `steepness`, and a projector onto cyclic directions, which is added to the Hessian."""
+        """Return the scaled gradient and Hessian of the potential, and a projector onto cyclic directions, which the Hessian includes."""
         body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]

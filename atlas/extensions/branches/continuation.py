@@ -61,7 +61,7 @@ class Curve(NamedTuple):
     lost: bool  # whether the curve ends inside the box
 
     def sound(self) -> Mask:
-        """Whether each vertex is on the curve. A `flat` pitchfork counts only if it has a neighbour that is not `flat`."""
+        """Whether each vertex is on the curve. A `flat` vertex is not, unless a neighbour is not `flat`."""
         flat = np.r_[True, self.points.flat(), True]
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 

@@ -563,7 +563,7 @@ class Degenerate(NamedTuple):
         first, forces, moved = cls(potential, unknowns, np.full(N, BorderKind.FOLD, np.int8)).response()
         basis = np.linalg.svd(B)[2][:, m:]
         kappa, vectors = np.linalg.eigh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
-        v = np.swapaxes(vectors, 1, 2) @ basis  # (N, eigenvalues, n)
+        v = np.swapaxes(vectors, 1, 2) @ basis  # (points, eigenvalues, components of x)
         mu = -np.einsum("nki,nij,nej->nek", onto, first[:, :n, :n], v)
         bent = (
             np.einsum("nek,kij,nej->nei", 2 * mu, potential.forms, v),

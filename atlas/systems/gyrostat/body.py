@@ -131,7 +131,7 @@ class Body(NamedTuple):
         return self._variations(self.amended(), alpha, gamma)
 
     def hessian(self, alpha: Array, gamma: Array) -> Array:
-        """Return the symmetric part of the Hessian of W."""
+        """Return the symmetric part of the Hessian of the potential W with respect to rotations."""
         result = np.zeros((*np.broadcast_shapes(alpha.shape, self.inertia.shape), 3))
         for d, v in self._along(self.amended(), alpha, gamma):
             moments = np.moveaxis(d.gradient[..., None] * self.inertia, -1, 0)

@@ -169,7 +169,7 @@ class Equilibria(NamedTuple):
         return -np.sort(-values, axis=-1)  # nan is sorted last
 
     def hessian_eigenvalues(self) -> Array:
-        """Return ascending eigenvalues of the scaled Hessian of W at fixed momenta, with 1 for cyclic directions."""
+        """Return ascending eigenvalues of the scaled Hessian of the potential W at fixed momenta, with 1 for cyclic directions."""
         E = self.cyclic
         forces = cross_matrix(self.body.gyroscopic(self.body.turn[:, None] * self.gamma)) @ E
         moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)

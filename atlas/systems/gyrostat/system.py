@@ -61,7 +61,7 @@ class Gyrostat(System):
 
     @shared
     def natural_rate(self, points: Points) -> Array:
-        """Return the rate of the frame, or of the fields if the frame is at rest. The rate of the free body replaces a negligible rate."""
+        """Return the frame's rate, or in a frame at rest the fields' frequency. If this is negligible, return the free body's rate."""
         with np.errstate(all="ignore"):
             return self.body(points).natural_rate(self._triples(self.initial_state(points))[0])
 
@@ -183,7 +183,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
     In general this logarithm is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
-    contain only unstable phases. If the logarithm of the growth over such a run exceeds _AMPLITUDE_GROWTH, return the larger logarithm.
+    contain only unstable phases. If the logarithm of the growth over such a run exceeds _AMPLITUDE_GROWTH and this product, return it.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):

@@ -102,7 +102,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """Return sources with added states. `scaled` multiplies state i by (time unit)^powers[i]. Integrals in `names` gain a state as a term."""
+    """Return sources with added states. `scaled` multiplies state i by (time unit)^powers[i]. Integrals in `names` gain a state."""
     scaled, unscaled = sources["scaled"], sources["unscaled"]
     extended = {}
     for name, text in sources.items():

@@ -156,14 +156,16 @@ class Section:
             if (new := self.at(arc if i % 4 < 3 else 0.5 * (low.arc + high.arc))) is None:
                 break
             low, high = (low, new) if value(new) * value(low) < 0 else (new, high)
-        for share in SHARES:  # Newton's method fails near a singular orbit, so members elsewhere are added
-            self.at(low.arc + share * (high.arc - low.arc))
+        self.add_members(low, high)  # Newton's method fails near a singular orbit
         return self.estimate(value, low, high)
 
-    def leave(self, arc: float) -> None:
-        """Add members to the section, and drop those near the singular orbit at `arc`, which have few correct digits."""
+    def add_members(self, low: Member, high: Member) -> None:
         for share in SHARES:
-            self.at(self.start.arc + share * self.length)
+            self.at(low.arc + share * (high.arc - low.arc))
+
+    def replace_near(self, arc: float) -> None:
+        """Add members to the section, and drop those near the singular orbit at `arc`, which have few correct digits."""
+        self.add_members(self.start, self.end)
         inner = [each for each in self.members[1:-1] if abs(each.arc - arc) > SAME * self.length]
         self.members = [self.start, *inner, self.end]
 
@@ -278,7 +280,7 @@ class Path:
             gaps = np.abs(np.subtract.outer(*places))
             if gaps.min() < SAME * section.length:
                 place = places[0][int(np.argmin(gaps.min(1)))]
-                section.leave(place)
+                section.replace_near(place)
                 return section.event(self._kind_of_return(section, place), place)
         if new.orbit.period > self.longest:
             return self._at_steady_motion(1e-3) or self._left(FamilyEnd.PERIOD_LIMIT)

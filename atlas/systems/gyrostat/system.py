@@ -182,8 +182,8 @@ class Gyrostat(System):
 def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
     """Return the logarithm of the growth of a small distance from the steady motions over runs, (points,), or nan.
 
-    In general this logarithm is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
-    contain only unstable phases. If the logarithm of the growth over such a run exceeds _AMPLITUDE_GROWTH and this product, return it.
+    In general the logarithm is `growth_rate` x `duration`. A gyrostat's run may be shorter than the period of the linear system and
+    contain only unstable phases. If the logarithm over such a run exceeds _AMPLITUDE_GROWTH, the larger of both is returned.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):
